@@ -1,0 +1,81 @@
+"""Boxes: layouts, overlap and non-maximum suppression.
+
+Boxes are edge coordinates in pixels of the original image: (0, 0, width, height) is the whole image.
+"""
+
+import numpy as np
+
+from autolights.core.arrays import FloatArray, IntArray
+
+
+def cxcywh_from_xyxy(boxes_xyxy: FloatArray) -> FloatArray:
+    """(n, 4) left, top, right, bottom → (n, 4) centre x, centre y, width, height."""
+    lows, highs = boxes_xyxy[..., :2], boxes_xyxy[..., 2:]
+    return np.concatenate([(lows + highs) / 2, highs - lows], axis=-1)
+
+
+def xyxy_from_cxcywh(boxes_cxcywh: FloatArray) -> FloatArray:
+    """(n, 4) centre x, centre y, width, height → (n, 4) left, top, right, bottom."""
+    centres, halves = boxes_cxcywh[..., :2], boxes_cxcywh[..., 2:] / 2
+    return np.concatenate([centres - halves, centres + halves], axis=-1)
+
+
+def area(boxes_xyxy: FloatArray) -> FloatArray:
+    """Area in px², zero for boxes that are turned inside out."""
+    sides = np.maximum(boxes_xyxy[..., 2:] - boxes_xyxy[..., :2], 0)
+    return np.asarray(sides[..., 0] * sides[..., 1])
+
+
+def clip(boxes_xyxy: FloatArray, size_wh: tuple[int, int]) -> FloatArray:
+    """Cut boxes at the image's edges; `size_wh` in pixels."""
+    limits = np.array([*size_wh, *size_wh], dtype=np.float64)
+    return np.clip(boxes_xyxy, 0.0, limits)
+
+
+def iou_matrix(boxes_a_xyxy: FloatArray, boxes_b_xyxy: FloatArray) -> FloatArray:
+    """Intersection over union of each pair.
+
+    Args:
+        boxes_a_xyxy: (n, 4) pixels.
+        boxes_b_xyxy: (m, 4) pixels.
+
+    Returns:
+        (n, m) in [0, 1]; pairs without any area get 0.
+    """
+    lows = np.maximum(boxes_a_xyxy[:, None, :2], boxes_b_xyxy[None, :, :2])
+    highs = np.minimum(boxes_a_xyxy[:, None, 2:], boxes_b_xyxy[None, :, 2:])
+    sides = np.maximum(highs - lows, 0)
+    intersection = sides[..., 0] * sides[..., 1]
+    union = area(boxes_a_xyxy)[:, None] + area(boxes_b_xyxy)[None, :] - intersection
+    return np.asarray(np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0))
+
+
+def nms(boxes_xyxy: FloatArray, scores: FloatArray, *, iou_threshold: float, max_boxes: int) -> IntArray:
+    """Greedy non-maximum suppression over all boxes, whatever their class.
+
+    Args:
+        boxes_xyxy: (n, 4) pixels.
+        scores: (n,), the highest wins; equal scores keep their order.
+        iou_threshold: A box that overlaps a kept one by more than this is dropped.
+        max_boxes: Stop after so many.
+
+    Returns:
+        (k,) indices of the kept boxes, best first.
+    """
+    order = np.argsort(-scores, kind="stable")
+    boxes = boxes_xyxy[order]
+    areas = area(boxes)
+    alive = np.ones(len(order), dtype=bool)
+    kept: list[int] = []
+    for i in range(len(order)):
+        if not alive[i]:
+            continue
+        kept.append(int(order[i]))
+        if len(kept) == max_boxes:
+            break
+        rest = slice(i + 1, None)
+        sides = np.minimum(boxes[rest, 2:], boxes[i, 2:]) - np.maximum(boxes[rest, :2], boxes[i, :2])
+        np.maximum(sides, 0, out=sides)
+        intersection = sides[:, 0] * sides[:, 1]
+        alive[rest] &= intersection <= iou_threshold * (areas[rest] + areas[i] - intersection)
+    return np.array(kept, dtype=np.int64)

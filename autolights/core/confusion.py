@@ -1,0 +1,84 @@
+"""The detector's confusion matrix, background included."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from autolights.core.arrays import IntArray
+from autolights.core.atomic import write_text
+from autolights.core.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class ConfusionMatrix:
+    """How often a class was shown and another one seen.
+
+    Attributes:
+        classes: C names, in the detector's order.
+        counts: (C + 1, C + 1) integers `[truth, predicted]`; the last row counts false alarms, the last column misses.
+        score_threshold: Detections below it were not counted.
+        iou_threshold: Overlap from which a detection counts as the truth's.
+    """
+
+    classes: tuple[str, ...]
+    counts: IntArray
+    score_threshold: float
+    iou_threshold: float
+
+    def __post_init__(self) -> None:
+        size = len(self.classes) + 1
+        if self.counts.shape != (size, size):
+            raise ValueError(f"counts must be ({size}, {size}) for {size - 1} classes, got {self.counts.shape}")
+        if (self.counts < 0).any():
+            raise ValueError("counts must not be negative")
+
+    def to_json(self) -> dict[str, Any]:
+        """The matrix as JSON-ready values."""
+        return {
+            "classes": list(self.classes),
+            "counts": self.counts.tolist(),
+            "score_threshold": self.score_threshold,
+            "iou_threshold": self.iou_threshold,
+        }
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Self:
+        """Read what `to_json` gave.
+
+        Raises:
+            DataError: If a field is missing or the counts do not fit the classes.
+        """
+        try:
+            return cls(
+                classes=tuple(values["classes"]),
+                counts=np.asarray(values["counts"], dtype=np.int64),
+                score_threshold=float(values["score_threshold"]),
+                iou_threshold=float(values["iou_threshold"]),
+            )
+        except KeyError as error:
+            raise DataError(f"confusion matrix: field {error} is missing") from error
+        except (TypeError, ValueError) as error:
+            raise DataError(f"confusion matrix: {error}") from error
+
+    def save(self, path: Path) -> None:
+        """Write the matrix as JSON."""
+        write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a matrix that `save` wrote.
+
+        Raises:
+            DataError: If the file is missing, is no JSON or breaks the format; the text names the file.
+        """
+        try:
+            return cls.from_json(json.loads(path.read_text()))
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        except json.JSONDecodeError as error:
+            raise DataError(f"{path}: not JSON ({error})") from error
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from error

@@ -1,0 +1,54 @@
+"""What a detector says about one image."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from autolights.core.arrays import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Boxes with their whole class vectors, a row for each detection.
+
+    Attributes:
+        boxes_xyxy: (n, 4) pixels of the original image, edge coordinates.
+        objectness: (n,) in [0, 1].
+        class_probs: (n, C) independent sigmoids, without objectness: rows need not sum to 1.
+    """
+
+    boxes_xyxy: FloatArray
+    objectness: FloatArray
+    class_probs: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.boxes_xyxy)
+        if self.boxes_xyxy.shape != (n, 4) or self.objectness.shape != (n,) or len(self.class_probs) != n:
+            raise ValueError(
+                f"Detections want (n, 4) boxes, (n,) objectness and (n, C) class_probs, got "
+                f"{self.boxes_xyxy.shape}, {self.objectness.shape} and {self.class_probs.shape}"
+            )
+        if self.class_probs.ndim != 2:
+            raise ValueError(f"class_probs must be (n, C), got {self.class_probs.shape}")
+
+    @classmethod
+    def empty(cls, class_count: int) -> Self:
+        """No detection, for `class_count` classes."""
+        return cls(np.empty((0, 4)), np.empty(0), np.empty((0, class_count)))
+
+    @property
+    def scores(self) -> FloatArray:
+        """(n,) objectness times the largest class probability."""
+        return np.asarray(self.objectness * self.class_probs.max(axis=1, initial=0.0))
+
+    @property
+    def class_ids(self) -> IntArray:
+        """(n,) index of the most probable class."""
+        return np.argmax(self.class_probs, axis=1) if len(self) else np.empty(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.boxes_xyxy)
+
+    def __getitem__(self, index: IntArray | BoolArray | slice) -> Self:
+        return type(self)(self.boxes_xyxy[index], self.objectness[index], self.class_probs[index])

@@ -1,0 +1,124 @@
+"""Where the vehicle is: poses, and the pose at an exact stamp between two of them."""
+
+from bisect import bisect_left, insort
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from autolights.core.arrays import FloatArray, as_float_array
+from autolights.core.errors import PoseError
+from autolights.core.transforms import matrix_from_quaternion, rigid, slerp
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The vehicle frame in the map frame at one instant.
+
+    Attributes:
+        stamp_ns: Integer nanoseconds.
+        position: (3,) east, north, up in metres (UTM).
+        quaternion_xyzw: (4,) rotation of `utm_from_ins`, normalised here.
+    """
+
+    stamp_ns: int
+    position: FloatArray
+    quaternion_xyzw: FloatArray
+
+    def __post_init__(self) -> None:
+        quaternion = as_float_array(self.quaternion_xyzw, (4,), "quaternion_xyzw")
+        length = float(np.linalg.norm(quaternion))
+        if not 0.9 < length < 1.1:
+            raise ValueError(f"quaternion_xyzw must have length 1, got {length:.3g}")
+        object.__setattr__(self, "position", as_float_array(self.position, (3,), "position"))
+        object.__setattr__(self, "quaternion_xyzw", quaternion / length)
+
+    @property
+    def utm_from_ins(self) -> FloatArray:
+        """(4, 4) vehicle frame to map frame."""
+        return rigid(matrix_from_quaternion(self.quaternion_xyzw), self.position)
+
+
+class PoseBuffer:
+    """Poses in the order of time, interpolated at an image's own stamp.
+
+    Position is interpolated linearly, rotation along the great arc (the paper's pose interpolation, Sec. III-B).
+
+    Args:
+        poses: Initial poses, in any order.
+        max_gap_s: Two neighbours farther apart than this are not interpolated between.
+        max_extrapolation_s: How far beyond the first or last pose the motion is continued; 0 forbids it.
+        history_s: Poses older than this before the newest are forgotten; None keeps all.
+    """
+
+    def __init__(
+        self,
+        poses: Iterable[Pose] = (),
+        *,
+        max_gap_s: float = 0.2,
+        max_extrapolation_s: float = 0.05,
+        history_s: float | None = None,
+    ) -> None:
+        self._poses = sorted(poses, key=_stamp)
+        self._max_gap_ns = round(max_gap_s * 1e9)
+        self._max_extrapolation_ns = round(max_extrapolation_s * 1e9)
+        self._history_ns = None if history_s is None else round(history_s * 1e9)
+
+    @classmethod
+    def from_arrays(cls, stamps_ns: Iterable[int], positions: FloatArray, quaternions_xyzw: FloatArray) -> Self:
+        """Columns: (n,) stamps, (n, 3) metres, (n, 4)."""
+        rows = zip(stamps_ns, positions, quaternions_xyzw, strict=True)
+        return cls(Pose(int(stamp), position, quaternion) for stamp, position, quaternion in rows)
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def add(self, pose: Pose) -> None:
+        """Take in one pose; late ones find their place, one with a known stamp replaces the old one."""
+        i = bisect_left(self._poses, pose.stamp_ns, key=_stamp)
+        if i < len(self._poses) and self._poses[i].stamp_ns == pose.stamp_ns:
+            self._poses[i] = pose
+        else:
+            insort(self._poses, pose, key=_stamp)
+        if self._history_ns is not None:
+            oldest_ns = self._poses[-1].stamp_ns - self._history_ns
+            if self._poses[0].stamp_ns < oldest_ns:
+                del self._poses[: bisect_left(self._poses, oldest_ns, key=_stamp)]
+
+    def at(self, stamp_ns: int) -> Pose:
+        """The pose at exactly this stamp.
+
+        Raises:
+            PoseError: If there are no poses, the stamp lies too far outside them, or in too wide a gap.
+        """
+        poses = self._poses
+        if not poses:
+            raise PoseError(f"no pose at stamp {stamp_ns}: no poses have arrived")
+        i = bisect_left(poses, stamp_ns, key=_stamp)
+        if i < len(poses) and poses[i].stamp_ns == stamp_ns:
+            return poses[i]
+        outside_ns = max(poses[0].stamp_ns - stamp_ns, stamp_ns - poses[-1].stamp_ns)
+        if outside_ns > self._max_extrapolation_ns or (outside_ns > 0 and len(poses) < 2):
+            raise PoseError(
+                f"no pose at stamp {stamp_ns}: poses cover {poses[0].stamp_ns} to {poses[-1].stamp_ns}, "
+                f"which it misses by {outside_ns / 1e9:.3f} s (allowed: {self._max_extrapolation_ns / 1e9:.3f} s)"
+            )
+        i = min(max(i, 1), len(poses) - 1)
+        before, after = poses[i - 1], poses[i]
+        gap_ns = after.stamp_ns - before.stamp_ns
+        if gap_ns > self._max_gap_ns:
+            raise PoseError(
+                f"no pose at stamp {stamp_ns}: the poses around it are {gap_ns / 1e9:.3f} s apart "
+                f"(allowed: {self._max_gap_ns / 1e9:.3f} s)"
+            )
+        fraction = (stamp_ns - before.stamp_ns) / gap_ns
+        return Pose(
+            stamp_ns,
+            before.position + fraction * (after.position - before.position),
+            slerp(before.quaternion_xyzw, after.quaternion_xyzw, fraction),
+        )
+
+
+def _stamp(pose: Pose) -> int:
+    return pose.stamp_ns
