@@ -1,0 +1,46 @@
+"""The training side: the only home of torch. Names are loaded when they are first used."""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from autolights.train.config import TrainConfig
+    from autolights.train.engine import TrainResult, train
+    from autolights.train.export import ExportReport, export_onnx
+    from autolights.train.fit_hmm import fit_hmm
+    from autolights.train.metrics import DetectionMetrics
+    from autolights.train.model import YoloV5
+    from autolights.train.validate import evaluate_detector
+    from autolights.train.weights import load_checkpoint
+
+_HOMES = {
+    "DetectionMetrics": "metrics",
+    "ExportReport": "export",
+    "TrainConfig": "config",
+    "TrainResult": "engine",
+    "YoloV5": "model",
+    "evaluate_detector": "validate",
+    "export_onnx": "export",
+    "fit_hmm": "fit_hmm",
+    "load_checkpoint": "weights",
+    "train": "engine",
+}
+
+__all__ = [
+    "DetectionMetrics",
+    "ExportReport",
+    "TrainConfig",
+    "TrainResult",
+    "YoloV5",
+    "evaluate_detector",
+    "export_onnx",
+    "fit_hmm",
+    "load_checkpoint",
+    "train",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
