@@ -1,0 +1,30 @@
+"""Files of the outside world: drives, maps, calibrations, truth and what a run leaves behind."""
+
+from autolights.data.calibrations import load_calibration, save_calibration
+from autolights.data.drives import Drive, FrameRecord, write_drive
+from autolights.data.maps import load_map, lon_lat_from_utm, save_map
+from autolights.data.poses import load_poses, save_poses
+from autolights.data.run_output import DetectedFrame, EstimateSet, load_detections, load_estimates, load_run_info
+from autolights.data.truth import TruthFrame, TruthLight, load_truth, save_truth
+
+__all__ = [
+    "DetectedFrame",
+    "Drive",
+    "EstimateSet",
+    "FrameRecord",
+    "TruthFrame",
+    "TruthLight",
+    "load_calibration",
+    "load_detections",
+    "load_estimates",
+    "load_map",
+    "load_poses",
+    "load_run_info",
+    "load_truth",
+    "lon_lat_from_utm",
+    "save_calibration",
+    "save_map",
+    "save_poses",
+    "save_truth",
+    "write_drive",
+]

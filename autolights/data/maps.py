@@ -1,0 +1,156 @@
+"""HD maps of traffic lights: GeoJSON points in longitude and latitude, metres in UTM inside the program.
+
+Headings are clockwise from the north of the UTM grid (not from true north: the two differ by up to 3°), the way the
+face of the light looks. Heights are taken as they are; the drive records their datum.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import pyproj
+
+from autolights.core import FloatArray, SignalSet, TrafficLightMap
+from autolights.core.atomic import write_text
+from autolights.core.errors import MapError
+
+Hemisphere: TypeAlias = Literal["north", "south"]
+
+# UTM zones are 6° wide; beyond twice their half-width the projection's scale error shows and the zone is a mistake.
+_MAX_OFF_MERIDIAN_DEG = 6.0
+_LON_LAT_DECIMALS = 10  # 0.01 mm
+
+
+def load_map(path: Path, signals: SignalSet, utm_zone: int, hemisphere: Hemisphere) -> TrafficLightMap:
+    """Read a map's lights in the order of the file.
+
+    Each feature is a Point with `id`, `type`, `height_m` (of the housing's centre), `heading_deg` and optionally
+    `intersection` and `group`; other properties, such as `lanes`, are left alone. Sizes come from the type.
+
+    Args:
+        path: The GeoJSON file.
+        signals: Which types exist, and how large they are.
+        utm_zone: 1 to 60.
+        hemisphere: Of the zone.
+
+    Raises:
+        MapError: If the file or a property is missing, a light's type is unknown, or its coordinates lie outside the
+            earth or far outside the zone; the text names file and light.
+    """
+    features = _read_features(path)
+    rows = [_read_light(path, i, feature, signals) for i, feature in enumerate(features)]
+    lon_lat = np.array([row["lon_lat"] for row in rows], dtype=np.float64).reshape(-1, 2)
+    transformer = _utm_from_lon_lat(utm_zone, hemisphere)
+    meridian = 6 * utm_zone - 183
+    off = np.abs((lon_lat[:, 0] - meridian + 180) % 360 - 180)
+    if len(off) and off.max() > _MAX_OFF_MERIDIAN_DEG:
+        worst = rows[int(off.argmax())]
+        raise MapError(
+            f"{path}: light '{worst['id']}' at longitude {worst['lon_lat'][0]} lies {off.max():.1f}° from the middle "
+            f"of UTM zone {utm_zone} ({meridian}°); is the zone right?"
+        )
+    east, north = transformer.transform(lon_lat[:, 0], lon_lat[:, 1], errcheck=True)
+    types = tuple(row["type"] for row in rows)
+    try:
+        return TrafficLightMap(
+            ids=tuple(row["id"] for row in rows),
+            types=types,
+            positions=np.column_stack([east, north, [row["height_m"] for row in rows]]),
+            headings_deg=np.array([row["heading_deg"] for row in rows], dtype=np.float64),
+            sizes_m=signals.sizes_m(types),
+            intersections=tuple(row["intersection"] for row in rows),
+            groups=tuple(row["group"] for row in rows),
+        )
+    except MapError as error:
+        raise MapError(f"{path}: {error}") from error
+
+
+def save_map(path: Path, lights: TrafficLightMap, utm_zone: int, hemisphere: Hemisphere) -> None:
+    """Write a map that `load_map` reads back to less than a millimetre.
+
+    Raises:
+        MapError: If the zone does not exist.
+    """
+    lon_lat = lon_lat_from_utm(lights.positions[:, :2], utm_zone, hemisphere)
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {
+                "type": "Point",
+                "coordinates": [round(float(value), _LON_LAT_DECIMALS) for value in lon_lat[i]],
+            },
+            "properties": {
+                "id": lights.ids[i],
+                "type": lights.types[i],
+                "height_m": round(float(lights.positions[i, 2]), 4),
+                "heading_deg": round(float(lights.headings_deg[i]) % 360, 4),
+                "intersection": lights.intersections[i],
+                "group": lights.groups[i],
+            },
+        }
+        for i in range(len(lights))
+    ]
+    write_text(path, json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n")
+
+
+def lon_lat_from_utm(east_north: FloatArray, utm_zone: int, hemisphere: Hemisphere) -> FloatArray:
+    """(n, 2) metres of a zone → (n, 2) degrees of longitude and latitude (WGS 84)."""
+    transformer = _utm_from_lon_lat(utm_zone, hemisphere)
+    lon, lat = transformer.transform(east_north[:, 0], east_north[:, 1], direction="INVERSE", errcheck=True)
+    return np.column_stack([lon, lat])
+
+
+def _utm_from_lon_lat(utm_zone: int, hemisphere: Hemisphere) -> pyproj.Transformer:
+    if not 1 <= utm_zone <= 60:
+        raise MapError(f"UTM zones go from 1 to 60, got {utm_zone}")
+    code = (32600 if hemisphere == "north" else 32700) + utm_zone
+    return pyproj.Transformer.from_crs("EPSG:4326", f"EPSG:{code}", always_xy=True)
+
+
+def _read_features(path: Path) -> list[Any]:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise MapError(f"{path}: not JSON ({error})") from error
+    features = values.get("features") if isinstance(values, dict) else None
+    if not isinstance(features, list):
+        raise MapError(f"{path}: must be a GeoJSON FeatureCollection with a list of 'features'")
+    return features
+
+
+def _read_light(path: Path, index: int, feature: Any, signals: SignalSet) -> dict[str, Any]:
+    where = f"{path}: feature {index}"
+    try:
+        properties = feature["properties"]
+        where = f"{path}: light '{properties['id']}'"
+        kind = feature["geometry"]["type"]
+        if kind != "Point":
+            raise MapError(f"{where}: its geometry must be a Point, got {kind}")
+        lon, lat = (float(value) for value in feature["geometry"]["coordinates"][:2])
+        row = {
+            "id": str(properties["id"]),
+            "type": str(properties["type"]),
+            "lon_lat": (lon, lat),
+            "height_m": float(properties["height_m"]),
+            "heading_deg": float(properties["heading_deg"]),
+            "intersection": str(properties.get("intersection") or ""),
+            "group": str(properties.get("group") or ""),
+        }
+    except KeyError as error:
+        raise MapError(f"{where}: property {error} is missing") from error
+    except (TypeError, ValueError) as error:
+        raise MapError(f"{where}: {error}") from error
+    if row["type"] not in signals.types:
+        raise MapError(
+            f"{where}: unknown type '{row['type']}'; "
+            f"signal description '{signals.name}' knows {', '.join(signals.types)}"
+        )
+    # Written so that NaN fails too.
+    if not (abs(lon) <= 180 and abs(lat) <= 90):
+        raise MapError(
+            f"{where}: longitude and latitude must lie in ±180 and ±90, got {lon}, {lat}; are they swapped or metres?"
+        )
+    return row
