@@ -142,6 +142,22 @@ class Bundle:
             raise BundleError(str(error)) from error
 
 
+def load_model_info(model_path: Path) -> ModelInfo:
+    """Read the description that the export wrote beside a model (``model.onnx`` → ``model.json``).
+
+    Raises:
+        BundleError: If it is missing or breaks the format.
+    """
+    path = model_path.with_suffix(".json")
+    try:
+        return ModelInfo.model_validate_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BundleError(f"{path}: cannot be read ({error.strerror}); `autolights export` writes it") from error
+    except ValidationError as error:
+        problem = error.errors()[0]
+        raise BundleError(f"{path}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from error
+
+
 def _read_manifest(path: Path) -> Manifest:
     try:
         values = json.loads(path.read_text(encoding="utf-8"))

@@ -1,0 +1,88 @@
+"""The program: its verbs in the order of the work, and how errors end it."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+import autolights
+from autolights.cli import proof, runtime, simulation, training
+from autolights.core.errors import AutolightsError
+
+_HELP = """
+Traffic lights done right: train a detector, export it, run it with cameras, poses and an HD map, and prove it.
+
+The way through, each step a verb:
+
+\b
+  simulate images   training images with labels          simulate drives   two-camera drives with truth
+  train             images → checkpoint                  val               checkpoint → AP, confusion matrix
+  export            checkpoint → ONNX, checked           fit-hmm           confusion matrix → hmm.json
+  bundle            ONNX + HMMs → one verified folder    run               bundle + drive → estimates.jsonl
+  detect            bundle + images or video → boxes     evaluate          estimates + truth → tables
+  report            everything → one HTML page           demo              all of it, in order
+
+Results go to stdout (--json for machines), progress and messages to stderr.
+Exit code 0: done; 1: failed; 2: misused.
+"""
+
+app = typer.Typer(
+    name="autolights",
+    help=_HELP,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"autolights {autolights.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Traffic lights done right."""
+
+
+app.add_typer(simulation.app, name="simulate")
+for verb, function in {
+    "train": training.train,
+    "val": training.val,
+    "export": training.export,
+    "fit-hmm": training.fit_hmm,
+    "bundle": training.bundle,
+    "run": runtime.run,
+    "detect": runtime.detect,
+    "evaluate": proof.evaluate,
+    "report": proof.report,
+    "demo": proof.demo,
+}.items():
+    app.command(verb)(function)
+
+
+def main() -> None:
+    """Run the program; expected errors end it with one line on stderr and their exit code."""
+    try:
+        app()
+    except AutolightsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("autolights"):
+            raise
+        print(
+            f"error: this verb needs the package '{error.name}'; install it with: pip install 'autolights[train]'",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)

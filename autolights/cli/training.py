@@ -1,0 +1,207 @@
+"""The verbs that make a bundle: train, val, export, fit-hmm, bundle."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from autolights.cli.options import Force, Json, Out, Overrides, Signals
+from autolights.core.errors import UsageError
+
+
+def train(
+    config: Annotated[str, typer.Argument(help="YAML file or shipped name, e.g. train/demo, train/photos.")],
+    overrides: Overrides = None,
+    out: Out = Path("runs/train"),
+    force: Force = False,
+) -> None:
+    """Train a detector on a YOLO-format folder.
+
+    Writes best.pt, last.pt, config.yaml, results.csv, metrics.json and TensorBoard curves into --out.
+
+    \b
+    Examples:
+      autolights train train/demo data=runs/images --out runs/train
+      autolights train train/photos data=photos weights=yolov5n.pt epochs=20 --out runs/photos
+      tensorboard --logdir runs/train/tensorboard
+    """
+    from autolights.core import load_config
+    from autolights.train import TrainConfig
+    from autolights.train import train as train_detector
+
+    result = train_detector(load_config(config, TrainConfig, overrides or ()), out, force=force)
+    typer.echo(result.best_path)
+
+
+def val(
+    checkpoint: Annotated[Path, typer.Argument(help="best.pt of a training run, or a public YOLOv5 checkpoint.")],
+    data: Annotated[Path, typer.Argument(help="YOLO-format folder.")],
+    split: Annotated[str, typer.Option(help="Part of the data: train or val.")] = "val",
+    long_side: Annotated[int, typer.Option(min=32, help="Long side of the network's input, pixels.")] = 960,
+    score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the confusion matrix.")] = 0.25,
+    classes: Annotated[str, typer.Option(help="Comma-separated class names, for a folder without data.yaml.")] = "",
+    val_fraction: Annotated[float, typer.Option(min=0, max=1, help="Share held out of a folder with one part.")] = 0.0,
+    group_pattern: Annotated[
+        str, typer.Option(help="Regular expression; files with the same first group stay on one side of that split.")
+    ] = "",
+    out: Out = Path("runs/val"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Measure a detector: COCO metrics and the confusion matrix with background.
+
+    Writes metrics.json and confusion.json into --out. Splits by --val-fraction and --group-pattern are the same as in
+    training with the same values.
+
+    \b
+    Example: autolights val runs/train/best.pt runs/images --out runs/val
+    """
+    from autolights.core.atomic import new_folder
+    from autolights.data import load_image_dataset
+    from autolights.train import evaluate_detector, load_checkpoint
+
+    if split not in ("train", "val"):
+        raise UsageError(f"--split must be train or val, got {split!r}")
+    dataset = load_image_dataset(
+        data,
+        "train" if split == "train" else "val",
+        classes=classes.split(",") if classes else None,
+        val_fraction=val_fraction,
+        group_pattern=group_pattern or None,
+    )
+    with new_folder(out, force=force) as folder:
+        metrics = evaluate_detector(
+            load_checkpoint(checkpoint, classes=dataset.classes),
+            dataset,
+            long_side=long_side,
+            score_threshold=score_threshold,
+        )
+        metrics.save(folder / "metrics.json")
+        metrics.confusion.save(folder / "confusion.json")
+    if as_json:
+        typer.echo(json.dumps(metrics.to_json()))
+        return
+    typer.echo(f"{metrics.images} images, {metrics.labels} labels")
+    for name, value in (
+        ("AP", metrics.ap),
+        ("AP50", metrics.ap50),
+        ("AP75", metrics.ap75),
+        ("AP_S", metrics.ap_s),
+        ("AP_M", metrics.ap_m),
+    ):
+        typer.echo(f"{name:6}{value:.3f}")
+    for name, value in metrics.per_class_ap.items():
+        typer.echo(f"  {name:16}{value:.3f}")
+
+
+def export(
+    checkpoint: Annotated[Path, typer.Argument(help="best.pt of a training run.")],
+    out: Out = Path("runs/export/model.onnx"),
+    size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
+    score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the runtime.")] = 0.25,
+    metrics: Annotated[Path | None, typer.Option(help="metrics.json of `val`, kept in the manifest.")] = None,
+    force: Force = False,
+) -> None:
+    """Export a checkpoint to ONNX and check it number by number against the network it came from.
+
+    Writes the model and a description (.json) beside it; if they disagree nothing is written.
+
+    \b
+    Example: autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
+    """
+    from autolights.core.atomic import refuse_existing
+    from autolights.train import export_onnx, load_checkpoint
+
+    refuse_existing(out, force=force)
+    width, cross, height = size.partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise UsageError(f"--size must read WIDTHxHEIGHT, e.g. 960x608, got {size!r}")
+    report = export_onnx(
+        load_checkpoint(checkpoint),
+        out,
+        size_wh=(int(width), int(height)),
+        score_threshold=score_threshold,
+        training=_read_json(metrics) if metrics else None,
+    )
+    typer.echo(f"{out}: {json.dumps(report.info.parity)}")
+
+
+def fit_hmm(
+    confusion: Annotated[Path, typer.Argument(help="confusion.json of `val`.")],
+    signals: Signals = "signals/autolights_13",
+    out: Out = Path("runs/export/hmm.json"),
+    pseudocount: Annotated[float, typer.Option(min=0, help="Added to each cell, in counts.")] = 1.0,
+    prior: Annotated[
+        str, typer.Option(help="Over states: uniform, or empirical (the data's class balance).")
+    ] = "uniform",
+    frame_rate: Annotated[float, typer.Option(min=0.1, help="Nominal sets of frames per second.")] = 10.0,
+    overrides: Annotated[Path | None, typer.Option(help="YAML with hand-tuned matrices by type.")] = None,
+    force: Force = False,
+) -> None:
+    """Fit one HMM per type of light: rates from the signal description, observations from the confusion matrix.
+
+    \b
+    Example: autolights fit-hmm runs/val/confusion.json --out runs/export/hmm.json
+    """
+    from autolights.core import ConfusionMatrix, load_signals, save_hmm
+    from autolights.core.atomic import refuse_existing
+    from autolights.core.config import read_yaml
+    from autolights.train import fit_hmm as fit
+
+    refuse_existing(out, force=force)
+    if prior not in ("uniform", "empirical"):
+        raise UsageError(f"--prior must be uniform or empirical, got {prior!r}")
+    hmm = fit(
+        ConfusionMatrix.load(confusion),
+        load_signals(signals),
+        nominal_dt_s=1 / frame_rate,
+        pseudocount=pseudocount,
+        prior="uniform" if prior == "uniform" else "empirical",
+        overrides=read_yaml(overrides) if overrides else None,
+    )
+    save_hmm(out, hmm)
+    typer.echo(out)
+
+
+def bundle(
+    model: Annotated[Path, typer.Option(help="model.onnx of `export`; its description (.json) lies beside it.")],
+    hmm: Annotated[Path, typer.Option(help="hmm.json of `fit-hmm`.")],
+    confusion: Annotated[Path, typer.Option(help="confusion.json of `val`.")],
+    signals: Signals = "signals/autolights_13",
+    out: Out = Path("runs/bundle"),
+    force: Force = False,
+) -> None:
+    """Assemble what the runtime needs into one folder with hashes, and verify it.
+
+    \b
+    Example: autolights bundle --model runs/export/model.onnx --hmm runs/export/hmm.json \\
+               --confusion runs/val/confusion.json --out runs/bundle
+    """
+    from autolights.core import Bundle, ConfusionMatrix, load_hmm, load_signals
+    from autolights.core.bundle import load_model_info
+    from autolights.core.progress import say
+
+    made = Bundle(
+        model=load_model_info(model),
+        model_path=model,
+        signals=load_signals(signals),
+        hmm=load_hmm(hmm),
+        confusion=ConfusionMatrix.load(confusion),
+    )
+    initial = made.model.initial_weights
+    if initial and "AGPL" in initial.licence:
+        say(f"warning: the weights descend from {initial.name} ({initial.licence}); check that you may ship them")
+    made.save(out, force=force)
+    Bundle.load(out)
+    typer.echo(out)
+
+
+def _read_json(path: Path) -> dict[str, object]:
+    try:
+        values = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: not a readable JSON file ({error})") from error
+    if not isinstance(values, dict):
+        raise UsageError(f"{path}: must hold a JSON object, got {type(values).__name__}")
+    return values
