@@ -112,6 +112,6 @@ def _pairs(runs: list[Path], drives: list[Path] | None) -> list[tuple[Path, Path
         if len(drives) != len(runs):
             raise UsageError(f"--drive must be given once for each run: {len(runs)} runs, {len(drives)} drives")
         return list(zip(runs, drives, strict=True))
-    from autolights.data import read_run_info
+    from autolights.data import load_run_info
 
-    return [(run, Path(read_run_info(run)["drive"])) for run in runs]
+    return [(run, Path(load_run_info(run)["drive"])) for run in runs]
