@@ -1,0 +1,63 @@
+"""Counting which class was shown and which one was seen."""
+
+import numpy as np
+
+from autolights.core import FloatArray, IntArray
+from autolights.core.boxes import iou_matrix
+
+
+def count_confusions(
+    truth_boxes_xyxy: FloatArray,
+    truth_ids: IntArray,
+    boxes_xyxy: FloatArray,
+    class_ids: IntArray,
+    *,
+    class_count: int,
+    iou_threshold: float,
+) -> IntArray:
+    """Compare the detections of one image with its labels.
+
+    Args:
+        truth_boxes_xyxy: (n, 4) pixels.
+        truth_ids: (n,) class indices.
+        boxes_xyxy: (m, 4) pixels of the detections that the runtime would report.
+        class_ids: (m,) class indices.
+        class_count: C.
+        iou_threshold: Overlap from which a detection counts as the label's.
+
+    Returns:
+        (C + 1, C + 1) counts `[truth, predicted]`; a label without a detection counts in the last column, a detection
+        without a label in the last row. Sum over images for a `ConfusionMatrix`.
+    """
+    counts = np.zeros((class_count + 1, class_count + 1), dtype=np.int64)
+    truths, detections = match_boxes(truth_boxes_xyxy, boxes_xyxy, iou_threshold=iou_threshold)
+    np.add.at(counts, (truth_ids[truths], class_ids[detections]), 1)
+    np.add.at(counts, (np.delete(truth_ids, truths), class_count), 1)
+    np.add.at(counts, (class_count, np.delete(class_ids, detections)), 1)
+    return counts
+
+
+def match_boxes(
+    boxes_a_xyxy: FloatArray, boxes_b_xyxy: FloatArray, *, iou_threshold: float
+) -> tuple[IntArray, IntArray]:
+    """Pair boxes one to one, the best overlap first, whatever their classes.
+
+    Args:
+        boxes_a_xyxy: (n, 4) pixels.
+        boxes_b_xyxy: (m, 4) pixels.
+        iou_threshold: Pairs that overlap by less are none.
+
+    Returns:
+        Two (k,) arrays: rows of a and the rows of b that they are paired with.
+    """
+    overlap = iou_matrix(boxes_a_xyxy, boxes_b_xyxy)
+    rows, columns = np.nonzero(overlap >= iou_threshold)
+    best_first = np.argsort(-overlap[rows, columns], kind="stable")
+    taken_a, taken_b = np.zeros(len(boxes_a_xyxy), dtype=bool), np.zeros(len(boxes_b_xyxy), dtype=bool)
+    pairs: list[tuple[int, int]] = []
+    for a, b in zip(rows[best_first], columns[best_first], strict=True):
+        if not (taken_a[a] or taken_b[b]):
+            taken_a[a] = taken_b[b] = True
+            pairs.append((int(a), int(b)))
+    matched = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return matched[:, 0], matched[:, 1]
