@@ -1,7 +1,8 @@
-"""Files of the outside world: drives, maps, calibrations, truth and what a run leaves behind."""
+"""Files of the outside world: labelled images, drives, maps, calibrations, truth and what a run leaves behind."""
 
 from autolights.data.calibrations import load_calibration, save_calibration
 from autolights.data.drives import Drive, FrameRecord, write_drive
+from autolights.data.image_dataset import ImageDataset, load_image_dataset
 from autolights.data.maps import load_map, lon_lat_from_utm, save_map
 from autolights.data.poses import load_poses, save_poses
 from autolights.data.run_output import DetectedFrame, EstimateSet, load_detections, load_estimates, load_run_info
@@ -12,11 +13,13 @@ __all__ = [
     "Drive",
     "EstimateSet",
     "FrameRecord",
+    "ImageDataset",
     "TruthFrame",
     "TruthLight",
     "load_calibration",
     "load_detections",
     "load_estimates",
+    "load_image_dataset",
     "load_map",
     "load_poses",
     "load_run_info",

@@ -1,0 +1,288 @@
+"""Labelled images in the YOLO layout: a folder of images beside a folder of text files."""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+import cv2
+import numpy as np
+
+from autolights.core.arrays import FloatArray, ImageArray, IntArray
+from autolights.core.boxes import xyxy_from_cxcywh
+from autolights.core.config import read_yaml
+from autolights.core.errors import DataError, UsageError
+from autolights.core.progress import say
+
+Split = Literal["train", "val"]
+
+_IMAGE_ENDINGS = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
+_OUTSIDE_TOLERANCE = 1e-6  # fractions: six printed decimals round a touching box this far out
+
+
+@dataclass(frozen=True)
+class LabelWarnings:
+    """What was unusual in the labels but could be used.
+
+    Attributes:
+        without_label_file: Images that have none and count as background.
+        clipped_boxes: Boxes that left the image and were cut at its edges.
+        dropped_boxes: Boxes without area, as given or once cut.
+    """
+
+    without_label_file: int = 0
+    clipped_boxes: int = 0
+    dropped_boxes: int = 0
+
+    def __str__(self) -> str:
+        parts = (
+            (self.without_label_file, "images without a label file (taken as background)"),
+            (self.clipped_boxes, "boxes cut at the image's edge"),
+            (self.dropped_boxes, "boxes without area dropped"),
+        )
+        return ", ".join(f"{count} {what}" for count, what in parts if count)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageDataset:
+    """Images with labelled boxes; the images are decoded when they are asked for.
+
+    Attributes:
+        root: The folder that was read.
+        classes: Class names; labels are indices into them.
+        image_paths: One for each image.
+        class_ids: Per image (n,).
+        boxes_cxcywh: Per image (n, 4) centre, width and height as fractions of the image.
+        signals: Signal description that the folder's ``data.yaml`` names; empty if it names none.
+        warnings: What was unusual when it was read.
+    """
+
+    root: Path
+    classes: tuple[str, ...]
+    image_paths: tuple[Path, ...]
+    class_ids: tuple[IntArray, ...]
+    boxes_cxcywh: tuple[FloatArray, ...]
+    signals: str = ""
+    warnings: LabelWarnings = LabelWarnings()
+
+    def __post_init__(self) -> None:
+        if not len(self.image_paths) == len(self.class_ids) == len(self.boxes_cxcywh):
+            raise ValueError("image_paths, class_ids and boxes_cxcywh must have one entry per image")
+
+    def __len__(self) -> int:
+        return len(self.image_paths)
+
+    @property
+    def label_count(self) -> int:
+        """Labels of all images together."""
+        return sum(len(ids) for ids in self.class_ids)
+
+    def read(self, index: int) -> ImageArray:
+        """Decode one image, BGR.
+
+        Raises:
+            DataError: If the file is missing or does not decode.
+        """
+        path = self.image_paths[index]
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if image is None:
+            raise DataError(f"{path}: not an image that can be decoded; replace or delete it")
+        return np.asarray(image, dtype=np.uint8)
+
+    def boxes_xyxy(self, index: int, size_wh: tuple[int, int]) -> FloatArray:
+        """(n, 4) boxes of one image in pixels of an image of `size_wh`."""
+        scale = np.array([*size_wh, *size_wh], dtype=np.float64)
+        return np.asarray(xyxy_from_cxcywh(self.boxes_cxcywh[index]) * scale)
+
+    def subset(self, indices: Sequence[int]) -> Self:
+        """The images of these indices, in their order."""
+        return type(self)(
+            root=self.root,
+            classes=self.classes,
+            image_paths=tuple(self.image_paths[i] for i in indices),
+            class_ids=tuple(self.class_ids[i] for i in indices),
+            boxes_cxcywh=tuple(self.boxes_cxcywh[i] for i in indices),
+            signals=self.signals,
+        )
+
+
+def load_image_dataset(
+    folder: Path,
+    split: Split,
+    *,
+    classes: Sequence[str] | None = None,
+    val_fraction: float = 0.0,
+    group_pattern: str | None = None,
+) -> ImageDataset:
+    """Read one part of a YOLO-format folder.
+
+    With a ``data.yaml`` (``names``, ``train``, ``val``) its word counts; without one the layouts ``train/images`` and
+    ``images/train`` are known. A folder that has only a train part is split by the hash of each image's group, so that
+    the split does not depend on the order or number of files.
+
+    Args:
+        folder: Where the data lie.
+        split: Which part.
+        classes: Class names, where no ``data.yaml`` gives them.
+        val_fraction: Share of the groups held out, used only if there is no part ``val``.
+        group_pattern: Regular expression with one group, matched against file names; files whose first group is equal
+            stay on one side. None makes each file its own group.
+
+    Raises:
+        UsageError: If the folder or the part is missing, holds no image, the class names are unknown, or the split
+            leaves one side without an image.
+        DataError: If ``data.yaml`` or a label breaks the format; the text names file and line.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such folder")
+    description = _read_description(folder / "data.yaml")
+    names = _class_names(folder, description, classes)
+    images = _image_folder(folder, split, description)
+    if images is None:
+        images = _image_folder(folder, "train", description)
+        if images is None or not val_fraction:
+            raise UsageError(
+                f"{folder}: no images for '{split}'; expected {split}/images or images/{split}, with labels beside them"
+                + ("; or set val_fraction to hold out a share of the training part" if split == "val" else "")
+            )
+    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in _IMAGE_ENDINGS)
+    if not paths:
+        raise UsageError(f"{images}: holds no image ({', '.join(sorted(_IMAGE_ENDINGS))})")
+    if val_fraction and _image_folder(folder, "val", description) is None:
+        paths = _split_by_group(paths, split, val_fraction, group_pattern)
+        if not paths:
+            raise UsageError(
+                f"{images}: val_fraction {val_fraction:g} leaves no image for '{split}'; choose another share"
+            )
+    return _with_labels(folder, names, paths, images, str(description.get("signals") or ""))
+
+
+def _read_description(path: Path) -> dict[str, object]:
+    if not path.is_file():
+        return {}
+    values = read_yaml(path)
+    if not isinstance(values, dict):
+        raise DataError(f"{path}: must hold keys and values, got {type(values).__name__}")
+    return values
+
+
+def _class_names(folder: Path, description: dict[str, object], classes: Sequence[str] | None) -> tuple[str, ...]:
+    named = description.get("names")
+    if isinstance(named, dict):
+        if sorted(named) != list(range(len(named))):
+            raise DataError(f"{folder / 'data.yaml'}: names must be numbered 0 to {len(named) - 1}, got {list(named)}")
+        named = [named[i] for i in range(len(named))]
+    if named is None:
+        if not classes:
+            raise UsageError(f"{folder}: has no data.yaml with the class names; give them as classes=[name, ...]")
+        return tuple(classes)
+    if not isinstance(named, list) or not named:
+        raise DataError(f"{folder / 'data.yaml'}: names must be a list of class names, got {named!r}")
+    names = tuple(str(name) for name in named)
+    if classes and tuple(classes) != names:
+        raise UsageError(f"{folder / 'data.yaml'} names the classes {list(names)}, but {list(classes)} were asked for")
+    return names
+
+
+def _image_folder(folder: Path, split: Split, description: dict[str, object]) -> Path | None:
+    named = description.get(split)
+    candidates = [folder / str(named)] if named else []
+    candidates += [folder / split / "images", folder / "images" / split]
+    return next((candidate for candidate in candidates if candidate.is_dir()), None)
+
+
+def _split_by_group(paths: Sequence[Path], split: Split, val_fraction: float, group_pattern: str | None) -> list[Path]:
+    pattern = re.compile(group_pattern) if group_pattern else None
+
+    def held_out(path: Path) -> bool:
+        match = pattern.search(path.name) if pattern else None
+        group = match.group(1) if match else path.name
+        digest = hashlib.sha256(group.encode()).digest()
+        return int.from_bytes(digest[:8], "big") < val_fraction * 2**64
+
+    return [path for path in paths if held_out(path) == (split == "val")]
+
+
+def _with_labels(
+    folder: Path, names: tuple[str, ...], paths: Sequence[Path], images: Path, signals: str
+) -> ImageDataset:
+    labels = _label_folder(images)
+    if not labels.is_dir():
+        raise UsageError(f"{labels}: no such folder; the labels of {images} belong there")
+    class_ids: list[IntArray] = []
+    boxes: list[FloatArray] = []
+    missing = clipped = dropped = 0
+    for path in paths:
+        label_path = labels / f"{path.stem}.txt"
+        rows = _read_labels(label_path, len(names))
+        missing += rows is None
+        ids, corners = rows if rows is not None else (np.empty(0, np.int64), np.empty((0, 4)))
+        inside = np.clip(corners, 0.0, 1.0)
+        clipped += int((np.abs(inside - corners) > _OUTSIDE_TOLERANCE).any(axis=1).sum())
+        sides = inside[:, 2:] - inside[:, :2]
+        solid = (sides > 0).all(axis=1)
+        dropped += int((~solid).sum())
+        class_ids.append(ids[solid])
+        boxes.append(np.concatenate([inside[:, :2] + sides / 2, sides], axis=1)[solid])
+    if missing == len(paths):
+        raise UsageError(f"{labels}: holds no label file for any of the {len(paths)} images in {images}")
+    warnings = LabelWarnings(missing, clipped, dropped)
+    if str(warnings):
+        say(f"{images}: {warnings}")
+    return ImageDataset(folder, names, tuple(paths), tuple(class_ids), tuple(boxes), signals, warnings)
+
+
+def _label_folder(images: Path) -> Path:
+    """``train/images`` → ``train/labels``; ``images/train`` → ``labels/train``: the last such part counts."""
+    parts = list(images.parts)
+    for i in reversed(range(len(parts))):
+        if parts[i] == "images":
+            parts[i] = "labels"
+            return Path(*parts)
+    raise UsageError(
+        f"{images}: some part of the path must be called 'images', so that 'labels' can be found beside it"
+    )
+
+
+def _read_labels(path: Path, class_count: int) -> tuple[IntArray, FloatArray] | None:
+    """(n,) classes and (n, 4) corners as fractions, or None if there is no file.
+
+    A row of a class and at least three points outlines a shape; the box around it is taken.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read ({error})") from error
+    ids: list[int] = []
+    corners: list[FloatArray] = []
+    for number, line in enumerate(lines, start=1):
+        fields = line.split()
+        if not fields:
+            continue
+        try:
+            values = np.array(fields, dtype=np.float64)
+        except ValueError as error:
+            raise DataError(f"{path}:{number}: must hold numbers only, got {line!r}") from error
+        is_box, is_outline = len(values) == 5, len(values) >= 7 and len(values) % 2 == 1
+        if not (is_box or is_outline) or not np.isfinite(values).all():
+            raise DataError(
+                f"{path}:{number}: must read 'class centre_x centre_y width height' or 'class x y x y x y ...', "
+                f"got {line!r}"
+            )
+        if values[0] != int(values[0]) or not 0 <= values[0] < class_count:
+            raise DataError(f"{path}:{number}: class must be 0 to {class_count - 1}, got {fields[0]}")
+        if is_box and ((values[3:] < 0).any() or np.abs(values[1:]).max() > 10):
+            raise DataError(
+                f"{path}:{number}: width and height must not be negative and all be fractions of the image, "
+                f"not pixels; got {line!r}"
+            )
+        ids.append(int(values[0]))
+        points = values[1:].reshape(-1, 2)
+        corners.append(
+            xyxy_from_cxcywh(values[1:]) if is_box else np.concatenate([points.min(axis=0), points.max(axis=0)])
+        )
+    return np.array(ids, dtype=np.int64), np.array(corners, dtype=np.float64).reshape(-1, 4)
