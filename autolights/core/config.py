@@ -4,7 +4,8 @@ import difflib
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -155,15 +156,24 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
 
 
 def _fields_at(model: type[BaseModel], parents: Sequence[str]) -> list[str]:
-    fields = model.model_fields
+    """Keys that are allowed below `parents`; none where no model describes them."""
+    kinds: list[Any] = [model]
     for parent in parents:
-        annotation = fields[parent].annotation if parent in fields else None
-        nested = [annotation, *getattr(annotation, "__args__", ())]
-        models = [kind for kind in nested if isinstance(kind, type) and issubclass(kind, BaseModel)]
-        if not models:
-            return []
-        fields = models[0].model_fields
-    return list(fields)
+        kinds = [inner for kind in kinds for inner in _kinds_below(kind, parent)]
+    return [name for kind in kinds if _is_model(kind) for name in kind.model_fields]
+
+
+def _kinds_below(kind: Any, key: str) -> list[Any]:
+    """What may stand under `key`: a model's field, or the element of a ``dict[str, X]`` or ``tuple[X, ...]``."""
+    if _is_model(kind):
+        inner = [kind.model_fields[key].annotation] if key in kind.model_fields else []
+    else:
+        inner = [argument for argument in get_args(kind) if argument is not Ellipsis][-1:]
+    return [choice for one in inner for choice in (get_args(one) if isinstance(one, UnionType) else (one,))]
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def _short(value: Any) -> str:

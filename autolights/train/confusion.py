@@ -29,11 +29,12 @@ def count_confusions(
         (C + 1, C + 1) counts `[truth, predicted]`; a label without a detection counts in the last column, a detection
         without a label in the last row. Sum over images for a `ConfusionMatrix`.
     """
-    counts = np.zeros((class_count + 1, class_count + 1), dtype=np.int64)
     truths, detections = match_boxes(truth_boxes_xyxy, boxes_xyxy, iou_threshold=iou_threshold)
-    np.add.at(counts, (truth_ids[truths], class_ids[detections]), 1)
-    np.add.at(counts, (np.delete(truth_ids, truths), class_count), 1)
-    np.add.at(counts, (class_count, np.delete(class_ids, detections)), 1)
+    missed, invented = np.delete(truth_ids, truths), np.delete(class_ids, detections)
+    shown = np.concatenate([truth_ids[truths], missed, np.full(len(invented), class_count)])
+    seen = np.concatenate([class_ids[detections], np.full(len(missed), class_count), invented])
+    counts = np.zeros((class_count + 1, class_count + 1), dtype=np.int64)
+    np.add.at(counts, (shown, seen), 1)
     return counts
 
 

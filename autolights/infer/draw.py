@@ -1,0 +1,91 @@
+"""Draw detections on an image so that the light itself stays visible."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from autolights.core import Detections, FloatArray, ImageArray, SignalSet
+from autolights.core.boxes import iou_matrix
+
+Bgr = tuple[int, int, int]
+COLORS_BGR: dict[str, Bgr] = {"red": (66, 60, 240), "yellow": (30, 200, 255), "green": (110, 220, 70)}
+DARK_BGR: Bgr = (225, 225, 225)  # nothing is lit
+_OUTLINE_BGR: Bgr = (25, 25, 25)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def state_color(class_name: str, signals: SignalSet) -> Bgr:
+    """The colour of a state: of its lit lamp, of several the one that permits most, light grey if none is lit."""
+    lamps = signals.types[signals.type_of[class_name]].lamps
+    lit = [lamps[name] for name in signals.state(class_name).lit]
+    if not lit:
+        return DARK_BGR
+    return COLORS_BGR[max(lit, key=lambda lamp: ("stop", "caution", "go").index(lamp.meaning)).color]
+
+
+def draw_detections(image_bgr: ImageArray, detections: Detections, signals: SignalSet) -> ImageArray:
+    """Draw each box in its state's colour, with class and score beside it.
+
+    The frame lies outside the box, and a text is put where it covers neither a light nor another text if there is
+    such a place.
+
+    Args:
+        image_bgr: (H, W, 3) uint8; it is not changed.
+        detections: In pixels of this image.
+        signals: The signal description whose classes the detector knows.
+
+    Returns:
+        A new (H, W, 3) picture.
+    """
+    picture = image_bgr.copy()
+    unit = max(1, round(max(picture.shape[:2]) / 1000))  # px; about one pixel when the picture fills a screen
+    colors = [state_color(signals.classes[i], signals) for i in detections.class_ids]
+    for box, color in zip(detections.boxes_xyxy, colors, strict=True):
+        left, top = (int(edge) - 2 * unit for edge in np.floor(box[:2]))
+        right, bottom = (int(edge) + 2 * unit for edge in np.ceil(box[2:]))
+        cv2.rectangle(picture, (left, top), (right, bottom), _OUTLINE_BGR, 3 * unit, cv2.LINE_AA)
+        cv2.rectangle(picture, (left, top), (right, bottom), color, unit, cv2.LINE_AA)
+    occupied = [*detections.boxes_xyxy]
+    for box, class_id, score, color in zip(
+        detections.boxes_xyxy, detections.class_ids, detections.scores, colors, strict=True
+    ):
+        plate = _draw_label(picture, f"{signals.classes[class_id]} {score:.2f}", box, color, unit, occupied)
+        occupied.append(plate)
+    return picture
+
+
+def _draw_label(
+    picture: ImageArray, text: str, box: FloatArray, color: Bgr, unit: int, occupied: Sequence[FloatArray]
+) -> FloatArray:
+    """Write on a dark plate beside the box; returns the plate, (4,) xyxy."""
+    scale = 0.45 * unit
+    (text_width, text_height), baseline = cv2.getTextSize(text, _FONT, scale, unit)
+    margin = 3 * unit
+    size = np.array([text_width + 2 * margin, text_height + baseline + 2 * margin], dtype=np.float64)
+    plate = _free_place(box, size, 4 * unit, picture.shape, occupied)
+    left, top, right, bottom = (int(edge) for edge in np.round(plate))
+    cv2.rectangle(picture, (left, top), (right, bottom), _OUTLINE_BGR, cv2.FILLED)
+    cv2.putText(picture, text, (left + margin, bottom - margin - baseline), _FONT, scale, color, unit, cv2.LINE_AA)
+    return plate
+
+
+def _free_place(
+    box: FloatArray, size: FloatArray, gap: int, picture_shape: Sequence[int], occupied: Sequence[FloatArray]
+) -> FloatArray:
+    """Above, below, right or left of the box: the first place that is free, else the one that covers least."""
+    left, top, right, bottom = box
+    width, height = size
+    corners = np.array(
+        [
+            [left - gap, top - gap - height],
+            [left - gap, bottom + gap],
+            [right + gap, top],
+            [left - gap - width, top],
+        ]
+    )
+    limits = np.array([picture_shape[1], picture_shape[0]]) - size
+    corners = np.clip(corners, 0, np.maximum(limits, 0))
+    plates = np.concatenate([corners, corners + size], axis=1)
+    covered = iou_matrix(plates, np.array(occupied)).sum(axis=1)
+    return np.asarray(plates[int(np.argmin(covered))])

@@ -1,0 +1,133 @@
+"""Images from wherever users have them: files, folders, globs and videos, one after the other."""
+
+import glob
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from autolights.core import ImageArray
+from autolights.core.errors import UsageError
+
+IMAGE_ENDINGS = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
+VIDEO_ENDINGS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm"})
+
+
+@dataclass(frozen=True, eq=False)
+class SourceImage:
+    """One image.
+
+    Attributes:
+        path: The file that it comes from.
+        frame: Its number in the video, from 0; None for a file that is an image.
+        picture_name: A relative path without ending under which a result may be stored; unique among all images.
+        image_bgr: (H, W, 3) uint8.
+    """
+
+    path: Path
+    frame: int | None
+    picture_name: str
+    image_bgr: ImageArray
+
+
+class ImageSources:
+    """Iterate over images; what cannot be decoded is left out and remembered in `skipped`.
+
+    Args:
+        inputs: Image or video files, folders (searched through, in alphabetical order), or globs.
+
+    Attributes:
+        paths: The files, each once.
+        skipped: Files that did not decode so far.
+
+    Raises:
+        UsageError: If an input does not exist, is of an unknown kind, or holds no image.
+    """
+
+    def __init__(self, inputs: Sequence[str | Path]) -> None:
+        if not inputs:
+            raise UsageError("no images given")
+        self._names: dict[Path, str] = {}
+        for given in inputs:
+            for path, name in _expand(str(given)):
+                if path not in self._names:
+                    self._names[path] = _unused(name, set(self._names.values()))
+        self.paths = tuple(self._names)
+        self.skipped: list[Path] = []
+
+    @property
+    def expected_images(self) -> int:
+        """How many images there will be if all decode; for videos what their headers say."""
+        return sum(_frame_count(path) if _is_video(path) else 1 for path in self.paths)
+
+    def __iter__(self) -> Iterator[SourceImage]:
+        for path, name in self._names.items():
+            if _is_video(path):
+                yield from self._frames(path, name)
+            else:
+                image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+                if image is None:
+                    self.skipped.append(path)
+                else:
+                    yield SourceImage(path, None, name, np.asarray(image, dtype=np.uint8))
+
+    def _frames(self, path: Path, name: str) -> Iterator[SourceImage]:
+        video = cv2.VideoCapture(str(path))
+        try:
+            number = 0
+            while True:
+                there, image = video.read()
+                if not there:
+                    break
+                yield SourceImage(path, number, f"{name}/{number:06d}", np.asarray(image, dtype=np.uint8))
+                number += 1
+        finally:
+            video.release()
+        if number == 0:
+            self.skipped.append(path)
+
+
+def _expand(given: str) -> list[tuple[Path, str]]:
+    """Files behind one input, each with the name of its picture."""
+    path = Path(given)
+    if path.is_dir():
+        files = [file for file in sorted(path.rglob("*")) if _is_readable(file)]
+        if not files:
+            raise UsageError(f"{path}: no images or videos in this folder")
+        return [(file, str(file.relative_to(path).with_suffix(""))) for file in files]
+    if path.is_file():
+        if not _is_readable(path):
+            known = ", ".join(sorted(IMAGE_ENDINGS | VIDEO_ENDINGS))
+            raise UsageError(f"{path}: neither an image nor a video by its ending; known: {known}")
+        return [(path, path.stem)]
+    matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
+    files = [match for match in matches if _is_readable(match)]
+    if not files:
+        raise UsageError(f"{given}: no such file or folder, and no image matches it as a pattern")
+    return [(file, file.stem) for file in files]
+
+
+def _frame_count(path: Path) -> int:
+    video = cv2.VideoCapture(str(path))
+    try:
+        return max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+    finally:
+        video.release()
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_ENDINGS
+
+
+def _is_readable(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in IMAGE_ENDINGS | VIDEO_ENDINGS
+
+
+def _unused(name: str, taken: set[str]) -> str:
+    """The name, or with the first number behind it that makes it unique."""
+    candidate, number = name, 2
+    while candidate in taken:
+        candidate, number = f"{name}_{number}", number + 1
+    return candidate
