@@ -86,7 +86,7 @@ class ImageDataset:
             DataError: If the file is missing or does not decode.
         """
         path = self.image_paths[index]
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
             raise DataError(f"{path}: not an image that can be decoded; replace or delete it")
         return np.asarray(image, dtype=np.uint8)

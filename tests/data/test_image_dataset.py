@@ -95,7 +95,7 @@ def test_missing_parts_say_what_was_expected(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "data", {"a": ""})
     with pytest.raises(UsageError, match=r"no data\.yaml with the class names"):
         load_image_dataset(folder, "train")
-    with pytest.raises(UsageError, match="no images for 'val'; .*val_fraction"):
+    with pytest.raises(UsageError, match=r"no images for 'val'; .*val_fraction"):
         load_image_dataset(folder, "val", classes=CLASSES)
 
 

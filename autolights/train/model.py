@@ -1,0 +1,248 @@
+"""YOLOv5 v6: CSP-Darknet, SPPF, PAN and three anchor levels, in five sizes.
+
+Module names are those of the public checkpoints (``model.N.…``, N from 0 to 24), so that their state dicts load.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Literal, cast
+
+import torch
+from torch import Tensor, nn
+
+from autolights.core.bundle import InitialWeights
+
+Size = Literal["n", "s", "m", "l", "x"]
+
+# (depth, width): how often blocks repeat and how wide they are, as multiples of size l
+SIZES: dict[Size, tuple[float, float]] = {
+    "n": (0.33, 0.25),
+    "s": (0.33, 0.50),
+    "m": (0.67, 0.75),
+    "l": (1.0, 1.0),
+    "x": (1.33, 1.25),
+}
+STRIDES = (8, 16, 32)
+MAX_STRIDE = 32  # sides of the input must be multiples of it
+# Width and height in pixels, three for each level; clustered on COCO by the authors of YOLOv5.
+ANCHORS_PX = (
+    ((10, 13), (16, 30), (33, 23)),
+    ((30, 61), (62, 45), (59, 119)),
+    ((116, 90), (156, 198), (373, 326)),
+)
+
+
+class Conv(nn.Module):
+    """Convolution without bias, batch norm, SiLU; keeps the size at stride 1."""
+
+    def __init__(
+        self, in_channels: int, out_channels: int, kernel: int = 1, stride: int = 1, padding: int | None = None
+    ) -> None:
+        super().__init__()
+        padding = kernel // 2 if padding is None else padding
+        self.conv = nn.Conv2d(in_channels, out_channels, kernel, stride, padding, bias=False)
+        self.bn = nn.BatchNorm2d(out_channels, eps=1e-3, momentum=0.03)
+        self.act = nn.SiLU()
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, in, H, W) → (B, out, H / stride, W / stride)."""
+        return cast(Tensor, self.act(self.bn(self.conv(x))))
+
+
+class Bottleneck(nn.Module):
+    """1×1 and 3×3 convolution, added to their input if `shortcut`."""
+
+    def __init__(self, channels: int, *, shortcut: bool) -> None:
+        super().__init__()
+        self.cv1 = Conv(channels, channels)
+        self.cv2 = Conv(channels, channels, kernel=3)
+        self.shortcut = shortcut
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) → the same shape."""
+        y = cast(Tensor, self.cv2(self.cv1(x)))
+        return x + y if self.shortcut else y
+
+
+class C3(nn.Module):
+    """Cross-stage partial block: bottlenecks on one half of the channels, the other half passes by."""
+
+    def __init__(self, in_channels: int, out_channels: int, repeats: int, *, shortcut: bool) -> None:
+        super().__init__()
+        hidden = out_channels // 2
+        self.cv1 = Conv(in_channels, hidden)
+        self.cv2 = Conv(in_channels, hidden)
+        self.cv3 = Conv(2 * hidden, out_channels)
+        self.m = nn.Sequential(*(Bottleneck(hidden, shortcut=shortcut) for _ in range(repeats)))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, in, H, W) → (B, out, H, W)."""
+        return cast(Tensor, self.cv3(torch.cat([self.m(self.cv1(x)), self.cv2(x)], dim=1)))
+
+
+class SPPF(nn.Module):
+    """Three chained max-pools see 5, 9 and 13 cells around each; they are put beside the input."""
+
+    def __init__(self, in_channels: int, out_channels: int, kernel: int = 5) -> None:
+        super().__init__()
+        hidden = in_channels // 2
+        self.cv1 = Conv(in_channels, hidden)
+        self.cv2 = Conv(4 * hidden, out_channels)
+        self.m = nn.MaxPool2d(kernel, stride=1, padding=kernel // 2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, in, H, W) → (B, out, H, W)."""
+        levels = [self.cv1(x)]
+        for _ in range(3):
+            levels.append(self.m(levels[-1]))
+        return cast(Tensor, self.cv2(torch.cat(levels, dim=1)))
+
+
+class Detect(nn.Module):
+    """One 1×1 convolution per level: for each cell and anchor a box, an objectness and C classes."""
+
+    anchors: Tensor
+
+    def __init__(self, in_channels: Sequence[int], class_count: int) -> None:
+        super().__init__()
+        self.class_count = class_count
+        anchors_px = torch.tensor(ANCHORS_PX, dtype=torch.float32)
+        # In units of each level's cells, as in the public checkpoints.
+        self.register_buffer("anchors", anchors_px / torch.tensor(STRIDES).view(3, 1, 1))
+        self.m = nn.ModuleList(nn.Conv2d(channels, 3 * (5 + class_count), 1) for channels in in_channels)
+        self._start_biases()
+
+    def _start_biases(self) -> None:
+        """Start with what is known: about 8 objects in an image of 640 px, classes equally rare."""
+        for conv, stride in zip(self.m, STRIDES, strict=True):
+            bias = cast(nn.Conv2d, conv).bias
+            assert bias is not None
+            with torch.no_grad():
+                rows = bias.view(3, 5 + self.class_count)
+                rows[:, 4] += math.log(8 / (640 / stride) ** 2)
+                rows[:, 5:] += math.log(0.6 / (self.class_count - 0.99999))
+
+    def forward(self, features: Sequence[Tensor]) -> list[Tensor]:
+        """Three (B, in, H, W) → three (B, 3, H, W, 5 + C) of logits."""
+        maps = []
+        for conv, feature in zip(self.m, features, strict=True):
+            y = conv(feature)
+            batch, _, height, width = y.shape
+            maps.append(y.view(batch, 3, 5 + self.class_count, height, width).permute(0, 1, 3, 4, 2))
+        return maps
+
+    def decode(self, maps: Sequence[Tensor]) -> Tensor:
+        """Logits → (B, N, 5 + C): centre, width, height in input pixels, objectness, class probabilities.
+
+        Rows run over levels, then anchors, y and x.
+        """
+        rows = []
+        for level, (logits, stride) in enumerate(zip(maps, STRIDES, strict=True)):
+            _, _, height, width, columns = logits.shape
+            y, x = torch.meshgrid(
+                torch.arange(height, device=logits.device, dtype=logits.dtype),
+                torch.arange(width, device=logits.device, dtype=logits.dtype),
+                indexing="ij",
+            )
+            cells = torch.stack([x, y], dim=-1)
+            anchors_px = (self.anchors[level] * stride).view(1, 3, 1, 1, 2)
+            values = logits.sigmoid()
+            centres = (values[..., 0:2] * 2 - 0.5 + cells) * stride
+            sides = (values[..., 2:4] * 2) ** 2 * anchors_px
+            decoded = torch.cat([centres, sides, values[..., 4:]], dim=-1)
+            rows.append(decoded.reshape(logits.shape[0], 3 * height * width, columns))
+        return torch.cat(rows, dim=1)
+
+
+class YoloV5(nn.Module):
+    """The detector network.
+
+    In training mode a call gives three maps (B, 3, H, W, 5 + C) of logits, in eval mode the decoded (B, N, 5 + C).
+
+    Attributes:
+        size: One of n, s, m, l, x.
+        classes: Their names.
+        initial_weights: What its training started from; None if from nothing or not known.
+    """
+
+    def __init__(self, size: Size, class_count: int, classes: Sequence[str] = ()) -> None:
+        """Build a network with random weights.
+
+        Args:
+            size: One of n, s, m, l, x.
+            class_count: C.
+            classes: Their names; without any they are called by their numbers.
+
+        Raises:
+            ValueError: If there is no class, or the names are not as many as the classes.
+        """
+        super().__init__()
+        if class_count < 1 or (classes and len(classes) != class_count):
+            raise ValueError(f"class_count must be at least 1 and fit the names, got {class_count} and {len(classes)}")
+        self.size = size
+        self.classes = tuple(classes) or tuple(str(i) for i in range(class_count))
+        self.initial_weights: InitialWeights | None = None
+        depth, width = SIZES[size]
+        c1, c2, c3, c4, c5 = (math.ceil(channels * width / 8) * 8 for channels in (64, 128, 256, 512, 1024))
+        few, some, many = (max(round(repeats * depth), 1) for repeats in (3, 6, 9))
+        self.model = nn.ModuleList(
+            [
+                Conv(3, c1, kernel=6, stride=2, padding=2),  # 0
+                Conv(c1, c2, kernel=3, stride=2),  # 1
+                C3(c2, c2, few, shortcut=True),  # 2
+                Conv(c2, c3, kernel=3, stride=2),  # 3
+                C3(c3, c3, some, shortcut=True),  # 4: stride 8
+                Conv(c3, c4, kernel=3, stride=2),  # 5
+                C3(c4, c4, many, shortcut=True),  # 6: stride 16
+                Conv(c4, c5, kernel=3, stride=2),  # 7
+                C3(c5, c5, few, shortcut=True),  # 8
+                SPPF(c5, c5),  # 9: stride 32
+                Conv(c5, c4),  # 10
+                nn.Upsample(scale_factor=2, mode="nearest"),  # 11
+                nn.Identity(),  # 12: beside 6
+                C3(2 * c4, c4, few, shortcut=False),  # 13
+                Conv(c4, c3),  # 14
+                nn.Upsample(scale_factor=2, mode="nearest"),  # 15
+                nn.Identity(),  # 16: beside 4
+                C3(2 * c3, c3, few, shortcut=False),  # 17: stride 8 out
+                Conv(c3, c3, kernel=3, stride=2),  # 18
+                nn.Identity(),  # 19: beside 14
+                C3(2 * c3, c4, few, shortcut=False),  # 20: stride 16 out
+                Conv(c4, c4, kernel=3, stride=2),  # 21
+                nn.Identity(),  # 22: beside 10
+                C3(2 * c4, c5, few, shortcut=False),  # 23: stride 32 out
+                Detect((c3, c4, c5), class_count),  # 24
+            ]
+        )
+
+    @property
+    def detect(self) -> Detect:
+        """The last layer."""
+        return cast(Detect, self.model[24])
+
+    @property
+    def anchors(self) -> Tensor:
+        """(3, 3, 2) levels × anchors × (width, height), in cells of the level."""
+        return self.detect.anchors
+
+    def logits(self, images: Tensor) -> list[Tensor]:
+        """(B, 3, H, W) RGB in [0, 1], sides multiples of 32 → three (B, 3, H / stride, W / stride, 5 + C)."""
+        layers = self.model
+        x = images
+        kept: dict[int, Tensor] = {}
+        for i in range(10):
+            x = layers[i](x)
+            if i in (4, 6):
+                kept[i] = x
+        down32 = layers[10](x)
+        x = layers[13](torch.cat([layers[11](down32), kept[6]], dim=1))
+        down16 = layers[14](x)
+        out8 = layers[17](torch.cat([layers[15](down16), kept[4]], dim=1))
+        out16 = layers[20](torch.cat([layers[18](out8), down16], dim=1))
+        out32 = layers[23](torch.cat([layers[21](out16), down32], dim=1))
+        return self.detect.forward([out8, out16, out32])
+
+    def forward(self, images: Tensor) -> Tensor | list[Tensor]:
+        """See the class."""
+        maps = self.logits(images)
+        return maps if self.training else self.detect.decode(maps)
