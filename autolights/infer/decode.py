@@ -3,7 +3,7 @@
 import numpy as np
 
 from autolights.core import Detections, FloatArray
-from autolights.core.boxes import nms, xyxy_from_cxcywh
+from autolights.core.boxes import area, nms, xyxy_from_cxcywh
 from autolights.infer.letterbox import Letterbox
 
 NMS_IOU_THRESHOLD = 0.5
@@ -39,4 +39,6 @@ def decode(
     candidates, scores = candidates[confident].astype(np.float64), scores[confident]
     boxes_xyxy = xyxy_from_cxcywh(candidates[:, :4])
     kept = nms(boxes_xyxy, scores, iou_threshold=iou_threshold, max_boxes=max_detections)
-    return Detections(letterbox.boxes_to_image(boxes_xyxy[kept]), candidates[kept, 4], candidates[kept, 5:])
+    in_image = letterbox.boxes_to_image(boxes_xyxy[kept])
+    detections = Detections(in_image, candidates[kept, 4], candidates[kept, 5:])
+    return detections[area(in_image) > 0]  # what lay in the grey margin is nowhere in the image
