@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from autolights.core import FloatArray, LightEstimate, SignalSet
+from autolights.core import FloatArray, LightEstimate, PoseBuffer, SignalSet
 from autolights.core.errors import DataError, PoseError
 from autolights.data import Drive, EstimateSet, TruthFrame, TruthLight, load_estimates, load_run_info, load_truth
 from autolights.data.run_output import ESTIMATES, RUN
@@ -89,16 +89,22 @@ class RunOutcomes:
     Attributes:
         drive: The drive that was run over.
         truth: Its truth by (camera, stamp_ns).
+        estimates: What the run said, set by set and variant by variant.
         variants: Rows of each variant that the run holds.
         info: ``run.json``.
+        poses: The drive's poses, ready to be asked.
+        posed_frames: Camera frames, as (camera, stamp_ns), for which there is a pose.
         skipped_frames: Camera frames with truth but without a pose: nobody can say what is in view.
         unanswered_frames: Camera frames about which the run says nothing: their lights are misses.
     """
 
     drive: Drive
     truth: dict[tuple[str, int], TruthFrame]
+    estimates: tuple[EstimateSet, ...]
     variants: dict[Variant, VariantOutcomes]
     info: dict[str, Any]
+    poses: PoseBuffer
+    posed_frames: frozenset[tuple[str, int]]
     skipped_frames: int
     unanswered_frames: int
 
@@ -127,7 +133,17 @@ def gather_outcomes(run_dir: Path, drive_dir: Path, signals: SignalSet) -> RunOu
             variants[variant], unanswered = _hold_against_truth(scene, variant, of_variant)
     if not variants:
         raise DataError(f"{run_dir / ESTIMATES}: holds no estimates of {', '.join(VARIANTS)}")
-    return RunOutcomes(drive, truth, variants, info, len(truth) - len(scene.labelled), unanswered)
+    return RunOutcomes(
+        drive=drive,
+        truth=truth,
+        estimates=tuple(sets),
+        variants=variants,
+        info=info,
+        poses=scene.poses,
+        posed_frames=frozenset(scene.labelled),
+        skipped_frames=len(truth) - len(scene.labelled),
+        unanswered_frames=unanswered,
+    )
 
 
 class _Scene:
@@ -137,6 +153,7 @@ class _Scene:
         labelled: By camera frame: the lights in view, which count.
         others: By camera frame: the rest of the truth, which excuses a report but does not demand one.
         lights: Every light of the drive once; lights do not move.
+        poses: Of the vehicle.
     """
 
     def __init__(self, drive: Drive, signals: SignalSet, truth: dict[tuple[str, int], TruthFrame]) -> None:
@@ -144,7 +161,7 @@ class _Scene:
         self.labelled: dict[tuple[str, int], list[TruthLight]] = {}
         self.others: dict[tuple[str, int], list[TruthLight]] = {}
         self.lights: dict[str, TruthLight] = {}
-        poses = drive.pose_buffer()
+        self.poses = drive.pose_buffer()
         for key, frame in truth.items():
             if frame.camera not in drive.cameras:
                 raise DataError(f"{drive.truth_path}: unknown camera '{frame.camera}'")
@@ -156,7 +173,7 @@ class _Scene:
                         f"'{light.class_name}', which signal description '{signals.name}' does not know"
                     )
             try:
-                pose = poses.at(frame.stamp_ns)
+                pose = self.poses.at(frame.stamp_ns)
             except PoseError:
                 continue
             self.labelled[key] = lights_in_view(frame.lights, drive.cameras[frame.camera], pose)

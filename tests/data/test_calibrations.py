@@ -15,9 +15,7 @@ from autolights.data import load_calibration, save_calibration
         ),
         pytest.param("max_range_m: 64.0", "range: 64", r"unknown key 'range' in cameras.narrow", id="unknown-key"),
         pytest.param("brown_conrady", "fisheye", r"'model' in cameras.narrow.distortion", id="unknown-lens-model"),
-        pytest.param(
-            "  - - 0.0\n      - -1.0", "  - - 9.0\n      - -1.0", r"cam_from_ins must", id="not-rigid"
-        ),
+        pytest.param("  - - 0.0\n      - -1.0", "  - - 9.0\n      - -1.0", r"cam_from_ins must", id="not-rigid"),
     ],
 )
 def test_an_impossible_camera_is_named(drive_parts, old: str, new: str, message: str) -> None:

@@ -59,9 +59,7 @@ def _light(**changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("features", "message"),
     [
-        pytest.param(
-            [_light(type="7")], r"light 'main-1': unknown type '7'.*knows 3, 4, 5dh", id="type"
-        ),
+        pytest.param([_light(type="7")], r"light 'main-1': unknown type '7'.*knows 3, 4, 5dh", id="type"),
         pytest.param([_light(), _light()], r"map.geojson: light ids must be unique, got 'main-1'", id="twice"),
         pytest.param([_light(height_m=...)], r"light 'main-1': property 'height_m' is missing", id="no-height"),
         pytest.param([_light(id=...)], r"feature 0: property 'id' is missing", id="no-id"),
