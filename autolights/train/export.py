@@ -59,11 +59,11 @@ class Parity:
 
     def check(self) -> None:
         """Raise `ParityError` if a difference is beyond its tolerance (or not a number)."""
-        within = max(self.box_px, self.detection_px) <= BOX_TOLERANCE_PX and self.prob <= PROB_TOLERANCE
-        if not within or self.unmatched:
+        boxes_agree = self.box_px <= BOX_TOLERANCE_PX and self.detection_px <= BOX_TOLERANCE_PX
+        if not (boxes_agree and self.prob <= PROB_TOLERANCE and self.unmatched == 0):
             raise ParityError(
-                f"the ONNX model differs from the network by {max(self.box_px, self.detection_px):.2g} px, "
-                f"{self.prob:.2g} in probability and {self.unmatched} detections "
+                f"the ONNX model differs from the network by {self.box_px:.2g} px ({self.detection_px:.2g} px in the "
+                f"image), {self.prob:.2g} in probability and {self.unmatched} detections "
                 f"(allowed: {BOX_TOLERANCE_PX} px, {PROB_TOLERANCE}, 0); nothing was written"
             )
 
