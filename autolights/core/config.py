@@ -53,9 +53,10 @@ def parse_config(
         raise ConfigError(f"{source}: " + "; ".join(_explain(problem, model) for problem in error.errors())) from error
 
 
-def save_config(config: BaseModel, path: Path) -> None:
-    """Write a resolved configuration as YAML that `load_config` reads back."""
-    write_text(path, yaml.safe_dump(config.model_dump(mode="json", exclude_none=False), sort_keys=False))
+def save_config(config: BaseModel, path: Path, *, comment: str = "") -> None:
+    """Write a resolved configuration as YAML that `load_config` reads back, under a one-line comment if given."""
+    text = yaml.safe_dump(config.model_dump(mode="json", exclude_none=False), sort_keys=False)
+    write_text(path, f"# {comment}\n{text}" if comment else text)
 
 
 def find_config(path: Path | str) -> Path:
