@@ -18,6 +18,7 @@ from autolights.core import ConfusionMatrix, FloatArray, HmmParameters, SignalSe
 from autolights.evaluate.palette import ACCENT, GRID, INK, MUTED, SERIES, STYLE_VARIABLES
 
 _STYLE: Any = {
+    "axes.axisbelow": True,
     "axes.edgecolor": GRID,
     "axes.facecolor": "none",
     "axes.grid": True,
@@ -168,4 +169,4 @@ def class_accuracy_figure(per_class: dict[str, tuple[float | None, float | None]
 def _probability(value: float) -> str:
     if value < 0.0005:
         return ""
-    return f"{value:.3f}".lstrip("0") if value < 0.095 else f"{value:.2f}"
+    return "1" if value >= 0.9995 else f"{value:.3f}".lstrip("0")

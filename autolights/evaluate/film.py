@@ -1,7 +1,10 @@
 """A short film of a drive as the runtime sees it: map boxes, detections, associations and tracks."""
 
+import os
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,13 +94,29 @@ def encode_webm(frames: Sequence[ImageArray], fps: float) -> bytes | None:
     height, width = frames[0].shape[:2]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.webm"
-        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), fps, (width, height))
+        with _quiet_stderr():
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), fps, (width, height))
         if not writer.isOpened():
             return None
         for frame in frames:
             writer.write(frame)
         writer.release()
         return path.read_bytes()
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Silence the process's stderr: OpenCV's C code writes there that WebM wants no four-letter code, and goes on."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _draw(
@@ -115,7 +134,8 @@ def _draw(
         _rectangle(image, box * scale, MAP, 1)
     if detected is not None:
         for box, name in zip(detected.boxes_xyxy, detected.classes, strict=True):
-            _rectangle(image, np.asarray(box) * scale, main_color(name, signals), 2)
+            # Drawn around the light, so that what it shows stays visible.
+            _rectangle(image, np.asarray(box) * scale + [-2, -2, 2, 2], main_color(name, signals), 2)
     for estimate in estimates_in(run.estimates, "full", frame):
         drawn = estimate_box(estimate, run, frame, signals)
         if drawn is None or not (drawn[2] > 0 and drawn[0] < width and drawn[3] > 0 and drawn[1] < height):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from markupsafe import Markup
 from matplotlib.axes import Axes
@@ -12,7 +12,7 @@ from matplotlib.patches import Patch, Rectangle
 from autolights.core import SignalSet
 from autolights.evaluate.figures import new_figure, to_svg
 from autolights.evaluate.outcomes import LightOutcome, RunOutcomes
-from autolights.evaluate.palette import FLASHING, GRID, INK, MUTED, OCCLUSION, state_colors
+from autolights.evaluate.palette import DARK, FLASHING, GRID, INK, MUTED, OCCLUSION, state_colors
 from autolights.evaluate.timelines import timelines
 
 T = TypeVar("T")
@@ -132,8 +132,17 @@ def _draw_row(
                 )
             )
         if len(name) * _LETTER_IN < (end - start) / max(span_s, 0.1) * 0.88 * _WIDTH_IN:
-            axes.text((start + end) / 2, y, name, ha="center", va="center", fontsize=8, color="#14181d", clip_on=True)
+            axes.text((start + end) / 2, y, name, **_name_style(colors, hatched=_hatch(name, signals) is not None))
     axes.axhline(y + 0.5, color=GRID, linewidth=0.6)
+
+
+def _name_style(colors: Sequence[str], *, hatched: bool) -> dict[str, Any]:
+    """Readable on the band: light on a dark lamp, and on a plain ground where the band is hatched."""
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8, "clip_on": True}
+    style["color"] = "#ffffff" if colors[0] == DARK else "#14181d"
+    if hatched:
+        style["bbox"] = {"facecolor": colors[0], "edgecolor": "none", "boxstyle": "round,pad=0.25"}
+    return style
 
 
 def _hatch(name: str, signals: SignalSet) -> str | None:

@@ -31,6 +31,7 @@ from autolights.core import (
 from autolights.core.light_box import light_corners, project_corners
 from autolights.core.transforms import CAMERA_AXES_FROM_VEHICLE_AXES, rigid
 from autolights.data import FrameRecord, TruthFrame, TruthLight, write_drive
+from autolights.evaluate.outcomes import LightOutcome
 
 ORIGIN = np.array([500_000.0, 4_800_000.0, 200.0])
 POSITIONS = {"A": [70.0, 4.0, 5.5], "B": [70.0, 0.0, 5.5], "C": [70.0, -4.0, 5.5], "far": [110.0, 3.0, 5.5]}
@@ -55,6 +56,76 @@ class Town:
 @pytest.fixture(scope="session")
 def signals() -> SignalSet:
     return load_signals()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Makes the rows of one light of type 3 or 4, a frame every 0.1 s, from one word per frame.
+
+    A word reads ``truth:report``; ``?`` after the truth: occluded, ``*``: flashing; ``-``: not reported, ``~`` before
+    the report: withheld, ``*`` after it: reported as flashing.
+    """
+
+    step_s: float = 0.1
+    names: tuple[tuple[str, str], ...] = (
+        ("R", "3-red"),
+        ("G", "3-green"),
+        ("Y", "3-yellow"),
+        ("rl", "4-rleft"),
+        ("fl", "4-yleft2"),
+        ("off", "4-off"),
+        ("gl", "4-gleft"),
+        ("yl", "4-yleft1"),
+    )
+
+    def __call__(
+        self, words: str, *, truth_id: str = "A", camera: str = "narrow", start_s: float = 0.0
+    ) -> list[LightOutcome]:
+        rows = []
+        for i, word in enumerate(words.split()):
+            shown, _, said = word.partition(":")
+            stamp_ns = round((start_s + i * self.step_s) * 1e9)
+            rows.append(self._row(shown, said, truth_id, camera, stamp_ns))
+        return rows
+
+    def _row(self, shown: str, said: str, truth_id: str, camera: str, stamp_ns: int) -> LightOutcome:
+        classes = dict(self.names)
+        class_name = classes[shown.strip("?*")]
+        truth = TruthLight(
+            truth_id=truth_id,
+            map_id=None,
+            type=class_name[0],
+            class_name=class_name,
+            lit_class=class_name,
+            flashing="*" in shown,
+            box_xyxy=(10, 10, 20, 40),
+            occlusion=0.9 if "?" in shown else 0.0,
+            truncated=False,
+            position=ORIGIN,
+            heading_deg=270.0,
+        )
+        if said == "-":
+            return LightOutcome("d", camera, stamp_ns, truth, None)
+        estimate = LightEstimate(
+            stamp_ns=stamp_ns,
+            track_id=1,
+            map_id=None,
+            type=truth.type,
+            class_name=classes[said.strip("~*")],
+            probability=0.9,
+            flashing="*" in said,
+            withheld="~" in said,
+            position=ORIGIN + np.array([0.3, 0.4, 0]),
+            covariance=None,
+            distance_m=30.0,
+            last_seen_ns=stamp_ns,
+        )
+        return LightOutcome("d", camera, stamp_ns, truth, estimate)
+
+
+@pytest.fixture(scope="session")
+def rows() -> Rows:
+    return Rows()
 
 
 @pytest.fixture(scope="session")
@@ -144,7 +215,7 @@ def _camera(name: str, fov_deg: float, max_range_m: float, width: int) -> Camera
 
 
 def _pose(stamp_ns: int) -> Pose:
-    return Pose(stamp_ns, ORIGIN + [8.0 * stamp_ns / 1e9, 0, 0], np.array([0.0, 0, 0, 1]))
+    return Pose(stamp_ns, ORIGIN + np.array([8.0 * stamp_ns / 1e9, 0, 0]), np.array([0.0, 0, 0, 1]))
 
 
 def _state(light: str, t: float) -> tuple[str, str, bool]:
@@ -221,7 +292,7 @@ def _raw(light: TruthLight, index: int, stamp_ns: int, camera: str) -> LightEsti
         probability=0.55 if confused else 0.9,
         flashing=False,
         withheld=False,
-        position=light.position + [1.2, 0, 0],
+        position=light.position + np.array([1.2, 0, 0]),
         covariance=None,
         distance_m=30.0,
         last_seen_ns=stamp_ns,
@@ -232,7 +303,7 @@ def _raw(light: TruthLight, index: int, stamp_ns: int, camera: str) -> LightEsti
 def _fused(raw: LightEstimate, light: TruthLight) -> LightEstimate:
     values = {**raw.to_json(), "map_id": light.map_id}
     if light.map_id is not None:
-        values["position"] = (light.position + [0.2, 0, 0]).tolist()
+        values["position"] = (light.position + np.array([0.2, 0, 0])).tolist()
     return LightEstimate.from_json(values, raw.stamp_ns)
 
 
@@ -277,7 +348,7 @@ def _training(folder: Path, signals: SignalSet) -> Path:
     ]
     (folder / "results.csv").write_text("\n".join([header, *rows]) + "\n")
     metrics: dict[str, Any] = {"ap": 0.65, "ap50": 0.9, "ap75": 0.75, "ap_s": 0.6, "ap_m": None, "images": 90}
-    metrics |= {"labels": 300, "per_class": {name: 0.6 for name in signals.classes[1:]} | {signals.classes[0]: None}}
+    metrics |= {"labels": 300, "per_class": dict.fromkeys(signals.classes[1:], 0.6) | {signals.classes[0]: None}}
     path = folder / "metrics.json"
     path.write_text(json.dumps(metrics))
     return path
