@@ -1,5 +1,6 @@
 """Draw detections on an image so that the light itself stays visible."""
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -27,7 +28,7 @@ def state_color(class_name: str, signals: SignalSet) -> Bgr:
 def draw_detections(image_bgr: ImageArray, detections: Detections, signals: SignalSet) -> ImageArray:
     """Draw each box in its state's colour, with class and score beside it.
 
-    The frame lies outside the box, and a text is put where it covers neither a light nor another text if there is
+    Frames lie outside all boxes, and a text is put where it covers neither a light nor another text if there is
     such a place.
 
     Args:
@@ -41,11 +42,13 @@ def draw_detections(image_bgr: ImageArray, detections: Detections, signals: Sign
     picture = image_bgr.copy()
     unit = max(1, round(max(picture.shape[:2]) / 1000))  # px; about one pixel when the picture fills a screen
     colors = [state_color(signals.classes[i], signals) for i in detections.class_ids]
-    for box, color in zip(detections.boxes_xyxy, colors, strict=True):
-        left, top = (int(edge) - 2 * unit for edge in np.floor(box[:2]))
-        right, bottom = (int(edge) + 2 * unit for edge in np.ceil(box[2:]))
-        cv2.rectangle(picture, (left, top), (right, bottom), _OUTLINE_BGR, 3 * unit, cv2.LINE_AA)
-        cv2.rectangle(picture, (left, top), (right, bottom), color, unit, cv2.LINE_AA)
+    lights = [_whole_pixels(box) for box in detections.boxes_xyxy]
+    for (left, top, right, bottom), color in zip(lights, colors, strict=True):
+        corners = (left - 2 * unit, top - 2 * unit), (right - 1 + 2 * unit, bottom - 1 + 2 * unit)
+        cv2.rectangle(picture, *corners, _OUTLINE_BGR, 3 * unit)
+        cv2.rectangle(picture, *corners, color, unit)
+    for left, top, right, bottom in lights:  # no frame lies on any light
+        picture[top:bottom, left:right] = image_bgr[top:bottom, left:right]
     occupied = [*detections.boxes_xyxy]
     for box, class_id, score, color in zip(
         detections.boxes_xyxy, detections.class_ids, detections.scores, colors, strict=True
@@ -73,13 +76,15 @@ def _draw_label(
 def _free_place(
     box: FloatArray, size: FloatArray, gap: int, picture_shape: Sequence[int], occupied: Sequence[FloatArray]
 ) -> FloatArray:
-    """Above, below, right or left of the box: the first place that is free, else the one that covers least."""
+    """Above, below or beside the box: the first place that is free, else the one that overlaps least."""
     left, top, right, bottom = box
     width, height = size
     corners = np.array(
         [
             [left - gap, top - gap - height],
             [left - gap, bottom + gap],
+            [right + gap - width, top - gap - height],
+            [right + gap - width, bottom + gap],
             [right + gap, top],
             [left - gap - width, top],
         ]
@@ -89,3 +94,10 @@ def _free_place(
     plates = np.concatenate([corners, corners + size], axis=1)
     covered = iou_matrix(plates, np.array(occupied)).sum(axis=1)
     return np.asarray(plates[int(np.argmin(covered))])
+
+
+def _whole_pixels(box: FloatArray) -> tuple[int, int, int, int]:
+    """The pixels that a box touches: first and one past the last, across and down."""
+    left, top = (max(math.floor(edge), 0) for edge in box[:2])
+    right, bottom = (math.ceil(edge) for edge in box[2:])
+    return left, top, right, bottom
