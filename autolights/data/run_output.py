@@ -106,18 +106,21 @@ def load_detections(path: Path) -> list[DetectedFrame]:
     return frames
 
 
-def load_run_info(path: Path) -> dict[str, Any]:
-    """Read ``run.json``: versions, configuration and times of a run.
+def load_run_info(run_dir: Path) -> dict[str, Any]:
+    """Read the ``run.json`` of a run: versions, drive, configuration and times.
 
     Raises:
-        DataError: If the file is missing or is no JSON object with ``variants``.
+        DataError: If the file is missing or is no JSON object with ``drive`` and ``variants``.
     """
+    path = run_dir / RUN
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror}); is this the folder of a finished run?") from error
     except ValueError as error:
         raise DataError(f"{path}: not JSON ({error})") from error
-    if not isinstance(values, dict) or not isinstance(values.get("variants"), dict):
-        raise DataError(f"{path}: field 'variants' is missing; is this the folder of a finished run?")
-    return values
+    info: dict[str, Any] = values if isinstance(values, dict) else {}
+    for name, kind in (("drive", str), ("variants", dict)):
+        if not isinstance(info.get(name), kind):
+            raise DataError(f"{path}: field '{name}' is missing; is this the folder of a finished run?")
+    return info

@@ -119,8 +119,9 @@ def gather_outcomes(run_dir: Path, drive_dir: Path, signals: SignalSet) -> RunOu
     drive = Drive.load(drive_dir, signals)
     if not drive.truth_path.is_file():
         raise DataError(f"{drive.truth_path}: no such file; only a drive with truth can be evaluated")
-    info = load_run_info(run_dir / RUN)
-    if info.get("drive", drive.name) != drive.name:
+    info = load_run_info(run_dir)
+    # The run keeps the path of its drive; the folder may have been moved or renamed since, but hardly both.
+    if Path(info["drive"]).name not in (drive.name, drive_dir.name):
         raise DataError(f"{run_dir / RUN}: is a run over drive '{info['drive']}', not over '{drive.name}'")
     sets = load_estimates(run_dir / ESTIMATES)
     truth = {(frame.camera, frame.stamp_ns): frame for frame in load_truth(drive.truth_path)}

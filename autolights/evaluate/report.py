@@ -27,8 +27,8 @@ from autolights.evaluate.palette import DARK, MISSED, main_color
 from autolights.evaluate.paper import DETECTORS, PIPELINE
 from autolights.evaluate.score import Evaluation
 from autolights.evaluate.sequence import most_eventful, sequence_figure
-from autolights.evaluate.summary import AP_NAMES, detector_fps, load_metrics
-from autolights.evaluate.table import detail_rows, number
+from autolights.evaluate.summary_json import AP_NAMES, detector_fps, load_metrics
+from autolights.evaluate.tables import detail_rows, number
 
 RESULTS = "results.csv"
 _PICTURE_WIDTH = 640  # px of a crop in the page; small crops are enlarged so that marks and image stay in step

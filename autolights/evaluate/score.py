@@ -162,9 +162,13 @@ class Evaluation(Config):
     unanswered_frames: int
     variants: dict[Variant, VariantScore]
 
+    def to_json(self) -> dict[str, Any]:
+        """The figures as JSON-ready values."""
+        return self.model_dump(mode="json")
+
     def save(self, path: Path) -> None:
         """Write the figures as JSON."""
-        write_text(path, json.dumps(self.model_dump(mode="json"), indent=1) + "\n")
+        write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Self:

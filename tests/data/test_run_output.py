@@ -74,7 +74,9 @@ def test_detections(tmp_path: Path) -> None:
 def test_run_info(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     with pytest.raises(DataError, match=r"run.json: cannot be read .*finished run"):
-        load_run_info(path)
-    path.write_text("{}")
-    with pytest.raises(DataError, match=r"field 'variants' is missing"):
-        load_run_info(path)
+        load_run_info(tmp_path)
+    path.write_text('{"drive": "drives/town", "variants": {}}')
+    assert load_run_info(tmp_path)["drive"] == "drives/town"
+    path.write_text('{"drive": "drives/town"}')
+    with pytest.raises(DataError, match=r"run.json: field 'variants' is missing"):
+        load_run_info(tmp_path)

@@ -7,12 +7,11 @@ import cv2
 import pytest
 
 from autolights.core.errors import DataError
-from autolights.evaluate import evaluate, gather_outcomes
+from autolights.evaluate import evaluate, gather_outcomes, summary, write_report
 from autolights.evaluate.film import best_scene, encode_webm, film_frames
 from autolights.evaluate.moments import saved_moments
-from autolights.evaluate.report import write_report
 from autolights.evaluate.sequence import most_eventful
-from autolights.evaluate.summary import load_metrics, summary
+from autolights.evaluate.summary_json import load_metrics
 
 
 def _write(town, out: Path, *, minutes: dict[str, float], with_training: bool = True) -> str:
@@ -117,7 +116,7 @@ def test_the_film_plays(town, tmp_path: Path) -> None:
 
 def test_summary_holds_the_figures_of_the_report(town) -> None:
     evaluation = evaluate([(town.run_dir, town.drive_dir)], town.signals)
-    figures = summary(evaluation, load_metrics(town.metrics_path), {"train": 5.254})
+    figures = summary(evaluation, town.metrics_path, {"train": 5.254})
     json.dumps(figures, allow_nan=False)
     assert figures["minutes"] == {"train": 5.25}
     assert figures["detector"] == {"ap": 0.65, "ap50": 0.9, "ap75": 0.75, "ap_s": 0.6, "ap_m": None, "fps": 100.0}

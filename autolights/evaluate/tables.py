@@ -1,14 +1,25 @@
 """The evaluation as tables in a terminal, the paper's rows beside ours."""
 
+import io
+
+from rich.console import Console
 from rich.table import Table
 
 from autolights.evaluate.paper import PIPELINE
 from autolights.evaluate.score import Delays, Evaluation, Share, VariantScore
 
 
-def ablation_table(evaluation: Evaluation) -> Table:
-    """The paper's Table III, ours and theirs."""
-    table = Table(title=f"{', '.join(evaluation.drives)}: {evaluation.frames} camera frames")
+def table(evaluation: Evaluation) -> str:
+    """The paper's Table III, ours and theirs, and below it all that is counted beside it."""
+    # Wider than the tables ever get: they take the room that they need, also where the output is no terminal.
+    console = Console(width=200, file=io.StringIO(), record=True)
+    console.print(_ablation_table(evaluation))
+    console.print(_detail_table(evaluation))
+    return "\n".join(line.rstrip() for line in console.export_text().splitlines())
+
+
+def _ablation_table(evaluation: Evaluation) -> Table:
+    table = Table(title=f"{', '.join(evaluation.drives)}: {evaluation.frames} camera frames", title_justify="left")
     table.add_column("")
     for name in ("sets/s", "APE (m)", "class accuracy (%)", "paper: FPS", "APE (m)", "class accuracy (%)"):
         table.add_column(name, justify="right")
@@ -26,8 +37,7 @@ def ablation_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def detail_table(evaluation: Evaluation) -> Table:
-    """Everything beside Table III, a column for each variant."""
+def _detail_table(evaluation: Evaluation) -> Table:
     table = Table()
     table.add_column("")
     for variant in evaluation.variants:

@@ -13,19 +13,24 @@ _NAMES: dict[Variant, str] = {"od": "od", "fusion": "od_fusion", "full": "propos
 AP_NAMES = ("ap", "ap50", "ap75", "ap_s", "ap_m")
 
 
-def summary(evaluation: Evaluation, metrics: Mapping[str, Any], minutes: Mapping[str, float]) -> dict[str, Any]:
+def summary(evaluation: Evaluation, metrics_path: Path, minutes: Mapping[str, float]) -> dict[str, Any]:
     """The figures that a benchmark or a later run compares.
 
     Args:
         evaluation: Of the drives.
-        metrics: The detector's, as `load_metrics` reads them; AP from 0 to 1.
+        metrics_path: The detector's ``metrics.json``; AP from 0 to 1.
         minutes: Of each stage.
 
     Returns:
         `minutes`; `detector` with AP figures and images per second; for each variant (`od`, `od_fusion`, `proposed`)
         `fps` in frame sets per second, `ape_m`, `ape_count`, `class_accuracy` in percent, `misses` and `labelled`.
+        A figure that does not exist (no match, no such object) is None.
+
+    Raises:
+        DataError: If the metrics cannot be read.
     """
-    detector: dict[str, Any] = {name: metrics.get(name) for name in AP_NAMES}
+    metrics = load_metrics(metrics_path)
+    detector: dict[str, Any] = {name: metrics[name] for name in AP_NAMES}
     detector["fps"] = _rounded(detector_fps(evaluation), 2)
     figures: dict[str, Any] = {
         "minutes": {name: round(value, 2) for name, value in minutes.items()},
