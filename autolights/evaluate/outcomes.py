@@ -124,6 +124,11 @@ def gather_outcomes(run_dir: Path, drive_dir: Path, signals: SignalSet) -> RunOu
     if Path(info["drive"]).name not in (drive.name, drive_dir.name):
         raise DataError(f"{run_dir / RUN}: is a run over drive '{info['drive']}', not over '{drive.name}'")
     sets = load_estimates(run_dir / ESTIMATES)
+    for name in {light.class_name for entry in sets for light in entry.lights} - set(signals.class_ids):
+        raise DataError(
+            f"{run_dir / ESTIMATES}: reports the class '{name}', which signal description '{signals.name}' does not "
+            "know; was it run with another one?"
+        )
     truth = {(frame.camera, frame.stamp_ns): frame for frame in load_truth(drive.truth_path)}
     scene = _Scene(drive, signals, truth)
     variants: dict[Variant, VariantOutcomes] = {}

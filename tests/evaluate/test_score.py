@@ -144,7 +144,11 @@ def test_wrong_pairs_of_run_and_drive_are_named(town, own_run) -> None:
     with pytest.raises(DataError, match=r"run.json: is a run over drive 'elsewhere', not over 'town'"):
         gather_outcomes(run_dir, drive_dir, town.signals)
     (run_dir / "run.json").write_text(json.dumps(info))
-    (run_dir / "estimates.jsonl").write_text("")
+    estimates = run_dir / "estimates.jsonl"
+    estimates.write_text(estimates.read_text().replace('"class": "3-red"', '"class": "3-blue"', 1))
+    with pytest.raises(DataError, match=r"estimates.jsonl: reports the class '3-blue'.*another one"):
+        gather_outcomes(run_dir, drive_dir, town.signals)
+    estimates.write_text("")
     with pytest.raises(DataError, match=r"estimates.jsonl: holds no estimates of od, fusion, full"):
         gather_outcomes(run_dir, drive_dir, town.signals)
     truth = drive_dir / "truth.jsonl"
