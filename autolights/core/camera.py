@@ -117,12 +117,17 @@ def back_project(pixels: FloatArray, camera: CameraModel) -> FloatArray:
     Returns:
         (n, 3) rays (x, y, 1) in the camera frame; multiply by the depth in metres to get the point.
     """
-    points = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    if not len(points):
-        return np.empty((0, 3))
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-    rays = cv2.undistortPoints(points, camera.intrinsics, camera.distortion, criteria=criteria)
-    return np.concatenate([rays.reshape(-1, 2), np.ones((len(points), 1))], axis=1)
+    k = camera.intrinsics
+    u, v = np.asarray(pixels, dtype=np.float64).reshape(-1, 2).T
+    y = (v - k[1, 2]) / k[1, 1]
+    x = (u - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    rays = np.stack([x, y, np.ones_like(x)], axis=1)
+    if len(rays) and len(camera.distortion):
+        # K is taken off above because OpenCV leaves its skew aside.
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        distorted = rays[:, None, :2].copy()
+        rays[:, :2] = cv2.undistortPoints(distorted, np.eye(3), camera.distortion, criteria=criteria)[:, 0]
+    return rays
 
 
 def _distort(x: FloatArray, y: FloatArray, camera: CameraModel) -> tuple[FloatArray, FloatArray]:
