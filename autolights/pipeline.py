@@ -1,0 +1,363 @@
+"""One set of frames, end to end: images and poses in, located and tracked lights out. The file to read first.
+
+::
+
+    frames ──detector──► detections ─┐
+    poses ──at each image's stamp──► known lights projected ──► association ──► tracks ──► estimates
+                                     └► leftovers localised by their size ───────┘
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, Protocol, Self, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from autolights.core import (
+    BoolArray,
+    Bundle,
+    CameraFrame,
+    CameraModel,
+    CameraView,
+    Config,
+    Detections,
+    FloatArray,
+    HmmParameters,
+    ImageArray,
+    LightEstimate,
+    Pose,
+    PoseBuffer,
+    SignalSet,
+    TrafficLightMap,
+)
+from autolights.core.boxes import cxcywh_from_xyxy
+from autolights.core.errors import MapError, PoseError, UsageError
+from autolights.infer import Detector
+from autolights.track import (
+    CameraObservation,
+    ProjectedLights,
+    TrackConfig,
+    TrackManager,
+    associate,
+    association_cost,
+    join_projected,
+    localize_boxes,
+    project_lights,
+)
+
+Variant: TypeAlias = Literal["od", "fusion", "full"]
+NO_POSE, LATE = "no pose", "earlier than the set before"
+_POSE_HISTORY_S = 10.0
+_EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
+
+
+class PipelineConfig(Config):
+    """Settings of the runtime (``configs/runtime``).
+
+    Attributes:
+        variant: ``od``: each detection for itself; ``fusion``: each image associated with the map, no memory; ``full``:
+            with tracks. The paper's ablation.
+        fusion_score_threshold: Detections below it take no part in fusion and tracking.
+        new_light_score_threshold: Detections below it are no evidence of a light that the map does not hold.
+        max_distance_px: Farther from its projection than this no detection is a known light; also the price of leaving
+            a light and a detection unmatched together.
+        max_distance_heights: The same in heights of the projected box; null for no such limit.
+        misread_distance_heights: A detection that nobody matched, but whose centre is this close to a known light, is
+            that light misread, not a new one; 0 lets it start a track.
+        track: Birth, death and memory.
+    """
+
+    variant: Variant = "full"
+    fusion_score_threshold: float = Field(default=0.25, ge=0, lt=1)
+    new_light_score_threshold: float = Field(default=0.5, ge=0, lt=1)
+    max_distance_px: float = Field(default=80.0, gt=0)
+    max_distance_heights: float | None = Field(default=1.0, gt=0)
+    misread_distance_heights: float = Field(default=0.75, ge=0)
+    track: TrackConfig = TrackConfig()
+
+
+class ImageDetector(Protocol):
+    """Anything that finds lights in images: the shipped one, a recorded one, a user's own."""
+
+    def batch(self, images_bgr: Sequence[ImageArray]) -> list[Detections]:
+        """Detections in each (H, W, 3) image, in pixels of that image."""
+        ...
+
+
+class Stamped(Protocol):
+    """Says which camera took an image, and when."""
+
+    @property
+    def camera(self) -> str:
+        """Name of the camera."""
+        ...
+
+    @property
+    def stamp_ns(self) -> int:
+        """Of the exposure, nanoseconds."""
+        ...
+
+
+class LightPipeline:
+    """The runtime of one vehicle: feed it poses and sets of frames in the order of time.
+
+    Args:
+        detector: Finds lights in images.
+        hmm: One hidden Markov model per type of light.
+        signals: The signal description.
+        cameras: By name.
+        lights: The map; its types are those of `signals`.
+        config: Settings.
+        poses: A buffer that is filled already, e.g. with a whole drive. By default an empty one.
+
+    Attributes:
+        skipped: How many frames were left out, by reason.
+        last_skip: The latest reason in full; empty if no frame was left out.
+
+    Raises:
+        MapError: If a light has a type that `signals` does not know.
+    """
+
+    def __init__(
+        self,
+        detector: ImageDetector,
+        hmm: Mapping[str, HmmParameters],
+        signals: SignalSet,
+        cameras: Mapping[str, CameraModel],
+        lights: TrafficLightMap,
+        config: PipelineConfig | None = None,
+        *,
+        poses: PoseBuffer | None = None,
+    ) -> None:
+        for light_id, light_type in zip(lights.ids, lights.types, strict=True):
+            if light_type not in signals.types:
+                raise MapError(
+                    f"light '{light_id}': unknown type '{light_type}'; "
+                    f"the signal description '{signals.name}' has {', '.join(signals.types)}"
+                )
+        self.config = config or PipelineConfig()
+        self.skipped: Counter[str] = Counter()
+        self.last_skip = ""
+        self._detector = detector
+        self._signals = signals
+        self._cameras = dict(cameras)
+        self._lights = lights
+        self._poses = PoseBuffer(history_s=_POSE_HISTORY_S) if poses is None else poses
+        self._tracks = TrackManager(lights, signals, hmm, self.config.track)
+        self._class_types = np.array([signals.type_of[name] for name in signals.classes])
+        self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
+        self._last_set_ns: int | None = None
+        self._memoryless_ids = 0
+        self._explained: dict[str, Any] = {}
+
+    @classmethod
+    def from_bundle(
+        cls,
+        bundle: Bundle,
+        cameras: Mapping[str, CameraModel],
+        lights: TrafficLightMap,
+        config: PipelineConfig | None = None,
+        *,
+        threads: int | None = None,
+    ) -> Self:
+        """The pipeline of a bundle, with its detector on ONNX Runtime."""
+        detector = Detector.from_bundle(bundle, threads=threads)
+        return cls(detector, bundle.hmm, bundle.signals, cameras, lights, config)
+
+    def update_pose(self, pose: Pose) -> None:
+        """Take in where the vehicle is."""
+        self._poses.add(pose)
+
+    def step(self, frames: Sequence[CameraFrame]) -> list[LightEstimate]:
+        """Detect, fuse and track the lights in one set of frames.
+
+        Args:
+            frames: Of the cameras that exposed together, in any order; each has its own stamp.
+
+        Returns:
+            Estimates at the latest stamp of the set; none if every frame had to be left out.
+
+        Raises:
+            UsageError: If a frame comes from an unknown camera.
+        """
+        self._check_cameras(frames)
+        return self.step_detections(frames, self._detector.batch([frame.image_bgr for frame in frames]))
+
+    def step_detections(self, frames: Sequence[Stamped], detections: Sequence[Detections]) -> list[LightEstimate]:
+        """Do what `step` does after detection: recorded detections can serve several pipelines.
+
+        A frame whose pose is not known, and a set that is older than the one before, are left out and counted in
+        `skipped`.
+
+        Args:
+            frames: Camera and stamp of each image.
+            detections: Of each image, in the same order.
+
+        Raises:
+            UsageError: If a frame comes from an unknown camera, or the detections do not fit the signal description.
+        """
+        self._check_cameras(frames)
+        views = list(self._with_pose(frames, detections))
+        if not views:
+            return []
+        set_ns = max(frame.stamp_ns for frame in frames)
+        self._last_set_ns = set_ns
+        if self.config.variant == "od":
+            return [light for view in views for light in self._each_detection(*view, set_ns)]
+        observations = [self._observe(*view) for view in views]
+        self._explained = {"images": observations}
+        if self.config.variant == "fusion":
+            return [light for observation in observations for light in self._without_memory(observation, set_ns)]
+        return self._tracks.update(observations, set_ns)
+
+    def explain(self) -> dict[str, Any]:
+        """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs and beliefs."""
+        images = [self._explain_image(observation) for observation in self._explained.get("images", [])]
+        return {"images": images, "tracks": self._tracks.explain()}
+
+    def _check_cameras(self, frames: Sequence[Stamped]) -> None:
+        for frame in frames:
+            if frame.camera not in self._cameras:
+                raise UsageError(f"unknown camera '{frame.camera}'; calibrated are: {', '.join(self._cameras)}")
+
+    def _with_pose(
+        self, frames: Sequence[Stamped], detections: Sequence[Detections]
+    ) -> Iterator[tuple[CameraModel, Pose, Detections]]:
+        """Each frame with the vehicle's pose at its own stamp, as far as that is known."""
+        if self._last_set_ns is not None and frames and max(f.stamp_ns for f in frames) < self._last_set_ns:
+            self._skip(LATE, len(frames), f"the set is {LATE}, of stamp {self._last_set_ns}")
+            return
+        for frame, found in zip(frames, detections, strict=True):
+            if found.class_probs.shape[1] != len(self._signals.classes):
+                raise UsageError(
+                    f"the detector knows {found.class_probs.shape[1]} classes, "
+                    f"the signal description '{self._signals.name}' {len(self._signals.classes)}"
+                )
+            try:
+                pose = self._poses.at(frame.stamp_ns)
+            except PoseError as error:
+                self._skip(NO_POSE, 1, f"camera '{frame.camera}': {error}")
+                continue
+            yield self._cameras[frame.camera], pose, found
+
+    def _skip(self, reason: str, count: int, text: str) -> None:
+        self.skipped[reason] += count
+        self.last_skip = text
+
+    def _observe(self, camera: CameraModel, pose: Pose, detections: Detections) -> CameraObservation:
+        """Hold one image against the known lights."""
+        config = self.config
+        detections = detections[detections.scores >= config.fusion_score_threshold]
+        projected = project_lights(self._lights, camera, pose)
+        if len(self._tracks.unmapped):
+            unmapped = project_lights(self._tracks.unmapped, camera, pose)
+            projected = join_projected(projected, unmapped, row_offset=len(self._lights))
+        cost = association_cost(
+            projected,
+            detections,
+            self._class_types,
+            max_distance_px=config.max_distance_px,
+            max_distance_heights=config.max_distance_heights,
+        )
+        association = associate(cost, unmatched_cost=config.max_distance_px)
+
+        lights, matched = association.matches[:, 0], association.matches[:, 1]
+        on_map = np.zeros(len(detections), dtype=bool)
+        on_map[matched[projected.indices[lights] < len(self._lights)]] = True
+        positions = np.full((len(detections), 3), np.nan)
+        if not on_map.all():
+            sizes_m = self._class_sizes_m[detections.class_ids[~on_map]]
+            positions[~on_map] = localize_boxes(detections.boxes_xyxy[~on_map], sizes_m, camera, pose)
+        left = association.unmatched_detections
+        may_be_new = self._may_be_new(detections[left], positions[left], projected, camera, pose)
+        return CameraObservation(camera, pose, detections, projected, association, positions, left[may_be_new], cost)
+
+    def _may_be_new(
+        self,
+        leftovers: Detections,
+        positions: FloatArray,
+        projected: ProjectedLights,
+        camera: CameraModel,
+        pose: Pose,
+    ) -> BoolArray:
+        """(n,) which detections that nobody matched may be lights that nobody knew."""
+        boxes_xyxy = leftovers.boxes_xyxy
+        whole = (boxes_xyxy[:, :2] >= _EDGE_PX).all(axis=1) & (
+            boxes_xyxy[:, 2:] <= np.array(camera.size_wh) - _EDGE_PX
+        ).all(axis=1)
+        near = np.linalg.norm(positions - pose.position, axis=1) <= camera.max_range_m
+        sure = leftovers.scores >= self.config.new_light_score_threshold
+        known, seen = cxcywh_from_xyxy(projected.boxes_xyxy), cxcywh_from_xyxy(boxes_xyxy)
+        apart_px = np.linalg.norm(known[:, None, :2] - seen[None, :, :2], axis=-1)
+        misread = (apart_px < self.config.misread_distance_heights * known[:, 3:]).any(axis=0)
+        return np.asarray(whole & near & sure & ~misread)
+
+    def _each_detection(
+        self, camera: CameraModel, pose: Pose, detections: Detections, set_ns: int
+    ) -> Iterator[LightEstimate]:
+        """Variant ``od``: what the detector says, placed by the size of its type."""
+        sizes_m = self._class_sizes_m[detections.class_ids]
+        positions = localize_boxes(detections.boxes_xyxy, sizes_m, camera, pose)
+        for row, position in enumerate(positions):
+            yield self._single(camera, pose, detections, row, set_ns, map_id=None, position=position)
+
+    def _without_memory(self, observation: CameraObservation, set_ns: int) -> Iterator[LightEstimate]:
+        """Variant ``fusion``: map lights take their place from the map, leftovers theirs from their size."""
+        camera, pose, detections = observation.camera, observation.pose, observation.detections
+        for light, row in observation.association.matches.tolist():
+            known = int(observation.projected.indices[light])
+            map_id, position = self._lights.ids[known], self._lights.positions[known]
+            yield self._single(camera, pose, detections, row, set_ns, map_id=map_id, position=position)
+        for row in observation.association.unmatched_detections.tolist():
+            position = observation.positions[row]
+            yield self._single(camera, pose, detections, row, set_ns, map_id=None, position=position)
+
+    def _single(
+        self,
+        camera: CameraModel,
+        pose: Pose,
+        detections: Detections,
+        row: int,
+        set_ns: int,
+        *,
+        map_id: str | None,
+        position: FloatArray,
+    ) -> LightEstimate:
+        class_id = int(detections.class_ids[row])
+        left, top, right, bottom = detections.boxes_xyxy[row].tolist()
+        self._memoryless_ids += 1
+        return LightEstimate(
+            stamp_ns=set_ns,
+            track_id=self._memoryless_ids,
+            map_id=map_id,
+            type=str(self._class_types[class_id]),
+            class_name=self._signals.classes[class_id],
+            probability=float(detections.scores[row]),
+            flashing=False,
+            withheld=False,
+            position=position,
+            covariance=None,
+            distance_m=float(np.linalg.norm(position - pose.position)),
+            last_seen_ns=pose.stamp_ns,
+            views=(CameraView(camera.name, pose.stamp_ns, (left, top, right, bottom)),),
+        )
+
+    def _light_name(self, row: int) -> str:
+        """Id of a map light, or the track id of an unmapped one at the time of the observation."""
+        return self._lights.ids[row] if row < len(self._lights) else f"unmapped {row - len(self._lights)}"
+
+    def _explain_image(self, observation: CameraObservation) -> dict[str, Any]:
+        detections = observation.detections
+        return {
+            "camera": observation.camera.name,
+            "stamp_ns": observation.stamp_ns,
+            "known_lights": [self._light_name(int(row)) for row in observation.projected.indices],
+            "projected_xyxy": np.round(observation.projected.boxes_xyxy, 1).tolist(),
+            "detected_xyxy": np.round(detections.boxes_xyxy, 1).tolist(),
+            "classes": [self._signals.classes[i] for i in detections.class_ids],
+            "scores": np.round(detections.scores, 3).tolist(),
+            "cost_px": [[round(float(c), 1) if np.isfinite(c) else None for c in row] for row in observation.cost],
+            "matches": observation.association.matches.tolist(),
+            "new_lights": observation.new_lights.tolist(),
+        }

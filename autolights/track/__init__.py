@@ -1,0 +1,30 @@
+"""From boxes in images to lights in the world: projection, association, localisation, tracks, states, flashing."""
+
+from autolights.track.association import Association, associate, association_cost
+from autolights.track.config import TrackConfig
+from autolights.track.flashing import FlashVerdict, flash_verdict
+from autolights.track.hmm_filter import hmm_predict, hmm_update, transition_over
+from autolights.track.localization import localization_information, localize, localize_boxes
+from autolights.track.manager import TrackManager
+from autolights.track.observation import CameraObservation
+from autolights.track.projection import ProjectedLights, join_projected, project_lights
+
+__all__ = [
+    "Association",
+    "CameraObservation",
+    "FlashVerdict",
+    "ProjectedLights",
+    "TrackConfig",
+    "TrackManager",
+    "associate",
+    "association_cost",
+    "flash_verdict",
+    "hmm_predict",
+    "hmm_update",
+    "join_projected",
+    "localization_information",
+    "localize",
+    "localize_boxes",
+    "project_lights",
+    "transition_over",
+]
