@@ -130,12 +130,12 @@ def _draw(
     frame = (record.camera, record.stamp_ns)
 
     map_boxes = _map_boxes(run, frame)
-    for box in map_boxes.values():
-        _rectangle(image, box * scale, MAP, 1)
     if detected is not None:
         for box, name in zip(detected.boxes_xyxy, detected.classes, strict=True):
             # Drawn around the light, so that what it shows stays visible.
             _rectangle(image, np.asarray(box) * scale + [-2, -2, 2, 2], main_color(name, signals), 2)
+    for box in map_boxes.values():
+        _rectangle(image, box * scale, MAP, 1)
     for estimate in estimates_in(run.estimates, "full", frame):
         drawn = estimate_box(estimate, run, frame, signals)
         if drawn is None or not (drawn[2] > 0 and drawn[0] < width and drawn[3] > 0 and drawn[1] < height):
