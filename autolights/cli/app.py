@@ -1,6 +1,7 @@
 """The program: its verbs in the order of the work, and how errors end it."""
 
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -53,7 +54,7 @@ def _program(
 
 
 app.add_typer(simulation.app, name="simulate")
-for verb, function in {
+_VERBS: dict[str, Callable[..., None]] = {
     "train": training.train,
     "val": training.val,
     "export": training.export,
@@ -64,8 +65,9 @@ for verb, function in {
     "evaluate": proof.evaluate,
     "report": proof.report,
     "demo": proof.demo,
-}.items():
-    app.command(verb)(function)
+}
+for _verb, _function in _VERBS.items():
+    app.command(_verb)(_function)
 
 
 def main() -> None:

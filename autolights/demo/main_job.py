@@ -128,7 +128,7 @@ def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
         evaluation = evaluate(runs, signals)
         write_text(
             summary_path,
-            json.dumps(summary(evaluation, validation / "metrics.json", runs, stages.minutes), indent=1) + "\n",
+            json.dumps(summary(evaluation, validation / "metrics.json", stages.minutes), indent=1) + "\n",
         )
         write_report(
             report_path,
