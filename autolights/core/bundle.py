@@ -100,7 +100,10 @@ class Bundle:
 
         Raises:
             UsageError: If `directory` exists and `force` is not set.
+            BundleError: If there is no model file.
         """
+        if not self.model_path.is_file():
+            raise BundleError(f"{self.model_path}: no such model; make one with `autolights export`")
         with new_folder(directory, force=force) as folder:
             shutil.copyfile(self.model_path, folder / MODEL)
             save_config(self.signals, folder / SIGNALS)

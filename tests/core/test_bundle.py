@@ -1,0 +1,119 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autolights.core import Bundle, ConfusionMatrix, InitialWeights, ModelInfo, load_signals
+from autolights.core.bundle import load_model_info
+from autolights.core.errors import BundleError, UsageError
+from autolights.train.fit_hmm import fit_hmm
+
+SIGNALS = load_signals()
+FILES = ["confusion.json", "hmm.json", "manifest.json", "model.onnx", "signals.yaml"]
+
+
+@pytest.fixture
+def bundle(tmp_path):
+    model = tmp_path / "exported.onnx"
+    model.write_bytes(b"weights")
+    confusion = ConfusionMatrix(SIGNALS.classes, np.eye(14, dtype=np.int64), 0.25, 0.5)
+    weights = InitialWeights(name="yolov5n.pt", sha256="0" * 64, licence="AGPL-3.0")
+    info = ModelInfo(classes=SIGNALS.classes, size_wh=(640, 416), opset=17, initial_weights=weights)
+    return Bundle(info, model, SIGNALS, fit_hmm(confusion, SIGNALS), confusion)
+
+
+@pytest.fixture
+def folder(bundle, tmp_path):
+    bundle.save(tmp_path / "bundle")
+    return tmp_path / "bundle"
+
+
+def test_reads_back(bundle, folder):
+    read = Bundle.load(folder)
+
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert (read.model, read.signals) == (bundle.model, bundle.signals)
+    assert read.model_path.read_bytes() == b"weights"
+    assert read.confusion.to_json() == bundle.confusion.to_json()
+    assert {name: hmm.to_json() for name, hmm in read.hmm.items()} == {
+        name: hmm.to_json() for name, hmm in bundle.hmm.items()
+    }
+
+
+def test_may_be_moved(folder, tmp_path):
+    moved = folder.rename(tmp_path / "elsewhere")
+
+    assert Bundle.load(moved).model_path == moved / "model.onnx"
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "manifest.json"])
+def test_altered_file_is_refused(folder, name):
+    (folder / name).write_bytes((folder / name).read_bytes() + b" ")
+
+    with pytest.raises(BundleError, match=rf"{name}: its SHA-256 differs from the manifest's"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_incomplete_bundle(folder, name):
+    (folder / name).unlink()
+
+    with pytest.raises(BundleError, match=rf"{name}: (missing; copy the whole bundle|cannot be read .* is this a)"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        pytest.param(
+            {"format_version": 2}, r"manifest\.json: format 2 is newer than 1; upgrade autolights", id="newer"
+        ),
+        pytest.param({"format_version": None}, r"manifest\.json: no format_version; is this a bundle\?", id="none"),
+        pytest.param({"colour": "red"}, r"manifest\.json: colour: Extra inputs are not permitted", id="unknown-key"),
+        pytest.param({"model": {}}, r"manifest\.json: model.classes: Field required", id="field"),
+    ],
+)
+def test_manifests_that_are_refused(folder, change, message):
+    path = folder / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+
+    with pytest.raises(BundleError, match=message):
+        Bundle.load(folder)
+
+
+def test_old_bundle_is_kept_unless_forced(bundle, folder):
+    with pytest.raises(UsageError, match="exists already"):
+        bundle.save(folder)
+    bundle.save(folder, force=True)
+
+    Bundle.load(folder)
+
+
+def test_missing_model_leaves_nothing_behind(bundle, tmp_path):
+    bundle.model_path.unlink()
+
+    with pytest.raises(BundleError, match=r"exported\.onnx: no such model; make one with `autolights export`"):
+        bundle.save(tmp_path / "bundle")
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parts_that_do_not_fit(bundle):
+    with pytest.raises(BundleError, match=r"the model knows the classes \['red'\], the signal description"):
+        replace(bundle, model=bundle.model.model_copy(update={"classes": ("red",)}))
+    with pytest.raises(BundleError, match=r"hmm\.json has no model for type '5dh'; run `autolights fit-hmm` again"):
+        replace(bundle, hmm={name: hmm for name, hmm in bundle.hmm.items() if name != "5dh"})
+    with pytest.raises(BundleError, match="the states of type '3' are not those of the signal description"):
+        replace(bundle, hmm={**bundle.hmm, "3": bundle.hmm["4"]})
+
+
+def test_description_beside_a_model(bundle, tmp_path):
+    (tmp_path / "model.json").write_text(bundle.model.model_dump_json())
+
+    assert load_model_info(tmp_path / "model.onnx") == bundle.model
+    (tmp_path / "model.json").write_text("{}")
+    with pytest.raises(BundleError, match=r"model\.json: classes: Field required"):
+        load_model_info(tmp_path / "model.onnx")
+    with pytest.raises(BundleError, match=r"gone\.json: cannot be read .*; `autolights export` writes it"):
+        load_model_info(tmp_path / "gone.onnx")
