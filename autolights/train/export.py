@@ -25,7 +25,10 @@ from autolights.train.confusion import match_boxes
 from autolights.train.model import MAX_STRIDE, STRIDES, YoloV5
 
 OPSET = 17  # read by TensorRT 8.6 and later and by every ONNX Runtime since 1.12
-BOX_TOLERANCE_PX = 0.02
+# Raw rows that see nothing hold boxes a thousand pixels wide: the public nano differs by 0.005 px there, in what it
+# detects by 0.0002.
+BOX_TOLERANCE_PX = 0.05
+DETECTION_TOLERANCE_PX = 0.01
 PROB_TOLERANCE = 1e-4
 
 
@@ -59,12 +62,13 @@ class Parity:
 
     def check(self) -> None:
         """Raise `ParityError` if a difference is beyond its tolerance (or not a number)."""
-        boxes_agree = self.box_px <= BOX_TOLERANCE_PX and self.detection_px <= BOX_TOLERANCE_PX
+        boxes_agree = self.box_px <= BOX_TOLERANCE_PX and self.detection_px <= DETECTION_TOLERANCE_PX
         if not (boxes_agree and self.prob <= PROB_TOLERANCE and self.unmatched == 0):
             raise ParityError(
-                f"the ONNX model differs from the network by {self.box_px:.2g} px ({self.detection_px:.2g} px in the "
-                f"image), {self.prob:.2g} in probability and {self.unmatched} detections "
-                f"(allowed: {BOX_TOLERANCE_PX} px, {PROB_TOLERANCE}, 0); nothing was written"
+                f"the ONNX model differs from the network by {self.box_px:.2g} px in the raw output, "
+                f"{self.detection_px:.2g} px in the detections, {self.prob:.2g} in probability and {self.unmatched} "
+                f"detections (allowed: {BOX_TOLERANCE_PX}, {DETECTION_TOLERANCE_PX}, {PROB_TOLERANCE}, 0); "
+                "nothing was written"
             )
 
     def to_json(self) -> dict[str, Any]:
