@@ -30,7 +30,7 @@ class ScheduleConfig(Config):
     Attributes:
         kind: ``cyclic_cosine`` falls from the maximum to the minimum in each cycle and starts again; ``cosine`` does so
             once.
-        cycles: Of equal length; for ``cyclic_cosine``.
+        cycles: Of equal length; for ``cyclic_cosine`` alone.
         max_rate: Learning rate at the start of a cycle (the paper: 0.008).
         min_rate: At the end of a cycle, and of the run.
         warmup_epochs: The rate rises linearly from 0 in this time.
@@ -53,8 +53,6 @@ class ScheduleConfig(Config):
     def _check(self) -> Self:
         if self.min_rate > self.max_rate:
             raise ValueError(f"min_rate must not exceed max_rate {self.max_rate:g}, got {self.min_rate:g}")
-        if self.kind == "cosine" and "cycles" in self.model_fields_set and self.cycles != 1:
-            raise ValueError("cosine has one cycle; choose cyclic_cosine for more")
         return self
 
 

@@ -54,7 +54,9 @@ def detection_loss(
     box = objectness = classes = maps[0].new_zeros(())
     grid_sizes = [(logits.shape[3], logits.shape[2]) for logits in maps]
     assignments = assign(labels, anchors, grid_sizes)
-    for logits, level_anchors, positives, weight in zip(maps, anchors, assignments, _LEVEL_WEIGHTS, strict=True):
+    for logits, level_anchors, positives, weight in zip(
+        maps, anchors, assignments, _LEVEL_WEIGHTS[: len(maps)], strict=True
+    ):
         wanted = logits.new_zeros(logits.shape[:4])
         if len(positives):
             chosen = logits[positives.images, positives.anchors, positives.rows, positives.columns]
