@@ -15,14 +15,11 @@ import numpy as np
 from pydantic import Field
 
 from autolights.core import (
-    BoolArray,
     Bundle,
     CameraFrame,
     CameraModel,
-    CameraView,
     Config,
     Detections,
-    FloatArray,
     HmmParameters,
     ImageArray,
     LightEstimate,
@@ -31,25 +28,25 @@ from autolights.core import (
     SignalSet,
     TrafficLightMap,
 )
-from autolights.core.boxes import cxcywh_from_xyxy
 from autolights.core.errors import MapError, PoseError, UsageError
 from autolights.infer import Detector
 from autolights.track import (
     CameraObservation,
-    ProjectedLights,
+    MemorylessLights,
     TrackConfig,
     TrackManager,
     associate,
     association_cost,
+    explain_observation,
     join_projected,
     localize_boxes,
+    may_be_new,
     project_lights,
 )
 
 Variant: TypeAlias = Literal["od", "fusion", "full"]
 NO_POSE, LATE = "no pose", "earlier than the set before"
 _POSE_HISTORY_S = 10.0
-_EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
 
 
 class PipelineConfig(Config):
@@ -145,11 +142,11 @@ class LightPipeline:
         self._lights = lights
         self._poses = PoseBuffer(history_s=_POSE_HISTORY_S) if poses is None else poses
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
+        self._memoryless = MemorylessLights(lights, signals)
         self._class_types = np.array([signals.type_of[name] for name in signals.classes])
         self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
         self._last_set_ns: int | None = None
-        self._memoryless_ids = 0
-        self._explained: dict[str, Any] = {}
+        self._behind: tuple[list[CameraObservation], tuple[str, ...]] = ([], ())
 
     @classmethod
     def from_bundle(
@@ -204,16 +201,17 @@ class LightPipeline:
         set_ns = max(frame.stamp_ns for frame in frames)
         self._last_set_ns = set_ns
         if self.config.variant == "od":
-            return [light for view in views for light in self._each_detection(*view, set_ns)]
+            return [light for view in views for light in self._memoryless.detected(*view, set_ns)]
         observations = [self._observe(*view) for view in views]
-        self._explained = {"images": observations}
+        self._behind = (observations, (*self._lights.ids, *(f"track {i}" for i in self._tracks.unmapped.ids)))
         if self.config.variant == "fusion":
-            return [light for observation in observations for light in self._without_memory(observation, set_ns)]
+            return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]
         return self._tracks.update(observations, set_ns)
 
     def explain(self) -> dict[str, Any]:
         """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs and beliefs."""
-        images = [self._explain_image(observation) for observation in self._explained.get("images", [])]
+        observations, light_names = self._behind
+        images = [explain_observation(observation, light_names, self._signals) for observation in observations]
         return {"images": images, "tracks": self._tracks.explain()}
 
     def _check_cameras(self, frames: Sequence[Stamped]) -> None:
@@ -270,94 +268,13 @@ class LightPipeline:
             sizes_m = self._class_sizes_m[detections.class_ids[~on_map]]
             positions[~on_map] = localize_boxes(detections.boxes_xyxy[~on_map], sizes_m, camera, pose)
         left = association.unmatched_detections
-        may_be_new = self._may_be_new(detections[left], positions[left], projected, camera, pose)
-        return CameraObservation(camera, pose, detections, projected, association, positions, left[may_be_new], cost)
-
-    def _may_be_new(
-        self,
-        leftovers: Detections,
-        positions: FloatArray,
-        projected: ProjectedLights,
-        camera: CameraModel,
-        pose: Pose,
-    ) -> BoolArray:
-        """(n,) which detections that nobody matched may be lights that nobody knew."""
-        boxes_xyxy = leftovers.boxes_xyxy
-        whole = (boxes_xyxy[:, :2] >= _EDGE_PX).all(axis=1) & (
-            boxes_xyxy[:, 2:] <= np.array(camera.size_wh) - _EDGE_PX
-        ).all(axis=1)
-        near = np.linalg.norm(positions - pose.position, axis=1) <= camera.max_range_m
-        sure = leftovers.scores >= self.config.new_light_score_threshold
-        known, seen = cxcywh_from_xyxy(projected.boxes_xyxy), cxcywh_from_xyxy(boxes_xyxy)
-        apart_px = np.linalg.norm(known[:, None, :2] - seen[None, :, :2], axis=-1)
-        misread = (apart_px < self.config.misread_distance_heights * known[:, 3:]).any(axis=0)
-        return np.asarray(whole & near & sure & ~misread)
-
-    def _each_detection(
-        self, camera: CameraModel, pose: Pose, detections: Detections, set_ns: int
-    ) -> Iterator[LightEstimate]:
-        """Variant ``od``: what the detector says, placed by the size of its type."""
-        sizes_m = self._class_sizes_m[detections.class_ids]
-        positions = localize_boxes(detections.boxes_xyxy, sizes_m, camera, pose)
-        for row, position in enumerate(positions):
-            yield self._single(camera, pose, detections, row, set_ns, map_id=None, position=position)
-
-    def _without_memory(self, observation: CameraObservation, set_ns: int) -> Iterator[LightEstimate]:
-        """Variant ``fusion``: map lights take their place from the map, leftovers theirs from their size."""
-        camera, pose, detections = observation.camera, observation.pose, observation.detections
-        for light, row in observation.association.matches.tolist():
-            known = int(observation.projected.indices[light])
-            map_id, position = self._lights.ids[known], self._lights.positions[known]
-            yield self._single(camera, pose, detections, row, set_ns, map_id=map_id, position=position)
-        for row in observation.association.unmatched_detections.tolist():
-            position = observation.positions[row]
-            yield self._single(camera, pose, detections, row, set_ns, map_id=None, position=position)
-
-    def _single(
-        self,
-        camera: CameraModel,
-        pose: Pose,
-        detections: Detections,
-        row: int,
-        set_ns: int,
-        *,
-        map_id: str | None,
-        position: FloatArray,
-    ) -> LightEstimate:
-        class_id = int(detections.class_ids[row])
-        left, top, right, bottom = detections.boxes_xyxy[row].tolist()
-        self._memoryless_ids += 1
-        return LightEstimate(
-            stamp_ns=set_ns,
-            track_id=self._memoryless_ids,
-            map_id=map_id,
-            type=str(self._class_types[class_id]),
-            class_name=self._signals.classes[class_id],
-            probability=float(detections.scores[row]),
-            flashing=False,
-            withheld=False,
-            position=position,
-            covariance=None,
-            distance_m=float(np.linalg.norm(position - pose.position)),
-            last_seen_ns=pose.stamp_ns,
-            views=(CameraView(camera.name, pose.stamp_ns, (left, top, right, bottom)),),
+        left = left[detections.scores[left] >= config.new_light_score_threshold]
+        new = may_be_new(
+            detections.boxes_xyxy[left],
+            positions[left],
+            projected,
+            camera,
+            pose,
+            misread_distance_heights=config.misread_distance_heights,
         )
-
-    def _light_name(self, row: int) -> str:
-        """Id of a map light, or the track id of an unmapped one at the time of the observation."""
-        return self._lights.ids[row] if row < len(self._lights) else f"unmapped {row - len(self._lights)}"
-
-    def _explain_image(self, observation: CameraObservation) -> dict[str, Any]:
-        detections = observation.detections
-        return {
-            "camera": observation.camera.name,
-            "stamp_ns": observation.stamp_ns,
-            "known_lights": [self._light_name(int(row)) for row in observation.projected.indices],
-            "projected_xyxy": np.round(observation.projected.boxes_xyxy, 1).tolist(),
-            "detected_xyxy": np.round(detections.boxes_xyxy, 1).tolist(),
-            "classes": [self._signals.classes[i] for i in detections.class_ids],
-            "scores": np.round(detections.scores, 3).tolist(),
-            "cost_px": [[round(float(c), 1) if np.isfinite(c) else None for c in row] for row in observation.cost],
-            "matches": observation.association.matches.tolist(),
-            "new_lights": observation.new_lights.tolist(),
-        }
+        return CameraObservation(camera, pose, detections, projected, cost, association, positions, left[new])

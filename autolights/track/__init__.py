@@ -6,18 +6,22 @@ from autolights.track.flashing import FlashVerdict, flash_verdict
 from autolights.track.hmm_filter import hmm_predict, hmm_update, transition_over
 from autolights.track.localization import localization_information, localize, localize_boxes
 from autolights.track.manager import TrackManager
-from autolights.track.observation import CameraObservation
+from autolights.track.memoryless import MemorylessLights
+from autolights.track.new_lights import may_be_new
+from autolights.track.observation import CameraObservation, explain_observation
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
 
 __all__ = [
     "Association",
     "CameraObservation",
     "FlashVerdict",
+    "MemorylessLights",
     "ProjectedLights",
     "TrackConfig",
     "TrackManager",
     "associate",
     "association_cost",
+    "explain_observation",
     "flash_verdict",
     "hmm_predict",
     "hmm_update",
@@ -25,6 +29,7 @@ __all__ = [
     "localization_information",
     "localize",
     "localize_boxes",
+    "may_be_new",
     "project_lights",
     "transition_over",
 ]

@@ -5,21 +5,21 @@ References:
     paper wants the on ratio and the off ratio both in (1/2, 2/3); they sum to 1, so the on ratio is meant.
 """
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
-import numpy as np
-
-from autolights.core import BoolArray, FlashingPair, FloatArray
+from autolights.core import FlashingPair
 
 FlashVerdict: TypeAlias = Literal["flashing", "steady", "unknown"]
 
 MIN_RATE_HZ = 8.0  # below it a phase of 0.33 s is two samples or fewer, and the rule has nothing to go by
 MAX_TOLERANCE = 0.1
-_ROUNDING = 1e-6  # of stamps turned into seconds
 _STEADY_CYCLES = 2
+_ROUNDING = 1e-6  # of stamps turned into seconds
 
 
-def flash_verdict(stamps_s: FloatArray, lit: BoolArray, pair: FlashingPair) -> FlashVerdict:
+def flash_verdict(stamps_s: Sequence[float], lit: Sequence[bool], pair: FlashingPair) -> FlashVerdict:
     """Judge by the unfiltered observations whether an indication flashes.
 
     It flashes if the latest whole cycles, rising edge to rising edge and at least two, have a legal period and are lit
@@ -28,45 +28,43 @@ def flash_verdict(stamps_s: FloatArray, lit: BoolArray, pair: FlashingPair) -> F
     unknown: the hidden states decide.
 
     Args:
-        stamps_s: (n,) ascending, one for each set of frames in which the pair's on or off state was seen.
-        lit: (n,) whether it was the on state.
+        stamps_s: n ascending seconds, one for each set of frames in which the pair's on or off state was seen.
+        lit: Whether it was the on state, n values.
         pair: Legal period and on ratio.
     """
     if len(stamps_s) < 3:
         return "unknown"
-    steps_s = np.diff(stamps_s)
-    step_s = float(np.median(steps_s))
+    steps_s = [after - before for before, after in pairwise(stamps_s)]
+    step_s = sorted(steps_s)[len(steps_s) // 2]
     if step_s > 1 / MIN_RATE_HZ:
         return "unknown"
-    if _changes_no_more(stamps_s, lit, pair, step_s):
+    if _is_steady(stamps_s, lit, pair, step_s):
         return "steady"
-    rising = np.flatnonzero(lit[1:] & ~lit[:-1]) + 1
+    rising = [i for i in range(1, len(lit)) if lit[i] and not lit[i - 1]]
     if len(rising) < 3 or stamps_s[-1] - stamps_s[rising[-1]] > pair.period_s[1] + step_s:
         return "unknown"
     # Back from the latest edge, as many legal cycles as there are in a row.
-    held_s = np.append(steps_s, 0.0)  # an observation holds until the next one
-    start = len(rising) - 1
-    while start > 0 and _is_legal(stamps_s[rising[start]] - stamps_s[rising[start - 1]], pair.period_s, step_s):
-        start -= 1
-    cycles = len(rising) - 1 - start
+    first = len(rising) - 1
+    while first > 0 and _is_legal(stamps_s[rising[first]] - stamps_s[rising[first - 1]], pair.period_s, step_s):
+        first -= 1
+    cycles = len(rising) - 1 - first
     if cycles < 2:
         return "unknown"
-    window = slice(rising[start], rising[-1])
-    duration_s = float(stamps_s[rising[-1]] - stamps_s[rising[start]])
-    on_ratio = float(held_s[window][lit[window]].sum()) / duration_s
+    duration_s = stamps_s[rising[-1]] - stamps_s[rising[first]]
+    # An observation holds until the next one.
+    lit_s = sum(steps_s[i] for i in range(rising[first], rising[-1]) if lit[i])
     tolerance = _tolerance(duration_s / cycles, step_s)
-    legal = pair.on_ratio[0] - tolerance <= on_ratio <= pair.on_ratio[1] + tolerance
+    legal = pair.on_ratio[0] - tolerance <= lit_s / duration_s <= pair.on_ratio[1] + tolerance
     return "flashing" if legal else "unknown"
 
 
-def _changes_no_more(stamps_s: FloatArray, lit: BoolArray, pair: FlashingPair, step_s: float) -> bool:
-    changed = np.flatnonzero(lit[1:] != lit[:-1])
-    since = int(changed[-1]) + 1 if len(changed) else 0
-    stamps = stamps_s[since:]
-    if stamps[-1] - stamps[0] < _STEADY_CYCLES * pair.period_s[1]:
-        return False
+def _is_steady(stamps_s: Sequence[float], lit: Sequence[bool], pair: FlashingPair, step_s: float) -> bool:
     # A gap as long as a dark phase may have hidden one.
-    return float(np.diff(stamps).max()) < max((1 - pair.on_ratio[1]) * pair.period_s[0], 1.5 * step_s)
+    longest_gap_s = max((1 - pair.on_ratio[1]) * pair.period_s[0], 1.5 * step_s)
+    i = len(lit) - 1
+    while i > 0 and lit[i - 1] == lit[-1] and stamps_s[i] - stamps_s[i - 1] < longest_gap_s:
+        i -= 1
+    return stamps_s[-1] - stamps_s[i] >= _STEADY_CYCLES * pair.period_s[1]
 
 
 def _is_legal(period_s: float, limits_s: tuple[float, float], step_s: float) -> bool:

@@ -1,5 +1,6 @@
 """All tracks: observations of several cameras in, one estimate per light out (Wu et al. 2023, Sec. III-C)."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -13,19 +14,14 @@ from autolights.core import (
     SignalSet,
     TrafficLightMap,
 )
-from autolights.track.association import associate
 from autolights.track.config import TrackConfig
 from autolights.track.hmm_filter import hmm_predict, hmm_update
+from autolights.track.linking import link_across_cameras
 from autolights.track.localization import localization_information
 from autolights.track.observation import CameraObservation, Sighting
 from autolights.track.projection import ANY_TYPE
-from autolights.track.states import ReportedState, TypeStates
+from autolights.track.states import TypeStates
 from autolights.track.track import Track
-
-# Two cameras mean the same unknown light if their localisations are this close: across the ray less than half of the
-# usual spacing between heads, along the ray as close as depth from height can tell.
-_ACROSS_M = 0.6
-_ALONG_SHARE = 0.2
 
 
 class TrackManager:
@@ -192,8 +188,8 @@ class TrackManager:
             rows = observation.new_lights
             if not len(rows):
                 continue
-            cost = _link_cost(candidates, observation.positions[rows], observation.pose.position)
-            linked = dict(associate(cost.T, unmatched_cost=1.0).matches.tolist())
+            places = np.array([track.position for track in fresh]).reshape(-1, 3)
+            linked = link_across_cameras(places, observation.positions[rows], observation.pose.position)
             class_ids = observation.detections.class_ids
             seen: list[tuple[Track, int]] = []
             for i, detection in enumerate(rows.tolist()):
@@ -263,7 +259,7 @@ class TrackManager:
         return [self._estimate(track, vehicle, set_ns) for track in sorted(reported, key=lambda track: track.id)]
 
     def _estimate(self, track: Track, vehicle: FloatArray, set_ns: int) -> LightEstimate:
-        state = self._state(track)
+        state = self._states[track.type].report(track.belief, track.history)
         return LightEstimate(
             stamp_ns=set_ns,
             track_id=track.id,
@@ -275,24 +271,10 @@ class TrackManager:
             withheld=track.is_stale(set_ns, self._config),
             position=track.position,
             covariance=None if track.information is None else np.linalg.inv(track.information),
-            distance_m=float(np.linalg.norm(track.position - vehicle)),
+            distance_m=math.dist(track.position, vehicle),
             last_seen_ns=track.last_seen_ns,
             views=tuple(track.views),
         )
-
-    def _state(self, track: Track) -> ReportedState:
-        states = self._states[track.type]
-        pair = states.likely_pair(track.belief)
-        if pair is not None:
-            return states.report(track.belief, pair, track.flash_verdict(pair, self._signals.classes))
-        # The duty cycle may prove a flash that the hidden states take for something else.
-        latest = self._signals.classes[track.history[-1].class_id] if track.history else None
-        for candidate in states.pairs:
-            if latest in (candidate.on, candidate.off):
-                verdict = track.flash_verdict(candidate, self._signals.classes)
-                if verdict == "flashing":
-                    return states.report(track.belief, candidate, verdict)
-        return states.report(track.belief, None, "unknown")
 
     def _by_type(self, tracks: Sequence[Track]) -> Iterator[tuple[TypeStates, list[Track]]]:
         for name, states in self._states.items():
@@ -317,17 +299,6 @@ def _set_beliefs(tracks: Sequence[Track], beliefs: FloatArray) -> None:
 def _view(observation: CameraObservation, detection: int) -> CameraView:
     left, top, right, bottom = observation.detections.boxes_xyxy[detection].tolist()
     return CameraView(observation.camera.name, observation.stamp_ns, (left, top, right, bottom))
-
-
-def _link_cost(tracks: Sequence[Track], positions: FloatArray, vehicle: FloatArray) -> FloatArray:
-    """(n, m) how unlikely a localisation is the light of a new track, from 0; above 1 it is not."""
-    known = np.array([track.position for track in tracks]).reshape(-1, 1, 3)
-    difference = positions[None, :, :] - known
-    ray = known - vehicle
-    range_m = np.linalg.norm(ray, axis=-1, keepdims=True)
-    along = (difference * ray / range_m).sum(axis=-1, keepdims=True)
-    across_m = np.linalg.norm(difference - along * ray / range_m, axis=-1)
-    return np.asarray(np.hypot(across_m / _ACROSS_M, along[..., 0] / (_ALONG_SHARE * range_m[..., 0])))
 
 
 def _as_map(tracks: Sequence[Track], signals: SignalSet) -> TrafficLightMap:

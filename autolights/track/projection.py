@@ -1,6 +1,7 @@
 """Where a camera should see the lights that are known: map light + pose → image box (Wu et al. 2023, Sec. III-B)."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -61,15 +62,14 @@ def project_lights(
     """
     near = lights.within(pose.position, _RANGE_MARGIN * camera.max_range_m)
     to_vehicle = pose.position - lights.positions[near]
-    heading = np.radians(lights.headings_deg[near])
-    towards = np.sin(heading) * to_vehicle[:, 0] + np.cos(heading) * to_vehicle[:, 1]
-    faces = towards >= np.cos(np.radians(max_facing_deg)) * np.hypot(to_vehicle[:, 0], to_vehicle[:, 1])
-    near, to_vehicle = near[faces], to_vehicle[faces]
+    corners, faces = _housings(lights)
+    towards = (faces[near] * to_vehicle[:, :2]).sum(axis=1)
+    facing = towards >= np.cos(np.radians(max_facing_deg)) * np.hypot(to_vehicle[:, 0], to_vehicle[:, 1])
+    near, to_vehicle = near[facing], to_vehicle[facing]
 
-    corners = light_corners(lights.positions[near], lights.headings_deg[near], lights.sizes_m[near])
     # T_cam_utm(t) = T_cam_ins · T_utm_ins(t)⁻¹
     cam_from_utm = camera.cam_from_ins @ invert_rigid(pose.utm_from_ins)
-    boxes_xyxy = project_corners(corners, camera, cam_from_utm)
+    boxes_xyxy = project_corners(corners[near], camera, cam_from_utm)
 
     lows, highs = boxes_xyxy[:, :2], boxes_xyxy[:, 2:]
     overlaps = np.all((highs > 0) & (lows < camera.size_wh), axis=1)  # NaN compares false: a bad corner drops the light
@@ -82,6 +82,14 @@ def project_lights(
         distances_m=distances_m,
         expected=contained & (distances_m <= camera.max_range_m),
     )
+
+
+@lru_cache(maxsize=8)
+def _housings(lights: TrafficLightMap) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, 8, 3) and faces (n, 2), east and north, of a whole map: lights stand still, so once is enough."""
+    heading = np.radians(lights.headings_deg)
+    corners = light_corners(lights.positions, lights.headings_deg, lights.sizes_m)
+    return corners, np.stack([np.sin(heading), np.cos(heading)], axis=1)
 
 
 def join_projected(first: ProjectedLights, second: ProjectedLights, *, row_offset: int) -> ProjectedLights:

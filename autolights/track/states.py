@@ -1,12 +1,14 @@
 """From a belief over a type's states to what is said about the light."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from autolights.core import FlashingPair, FloatArray, HmmParameters, IntArray, SignalSet
-from autolights.track.flashing import FlashVerdict
+from autolights.track.flashing import FlashVerdict, flash_verdict
+from autolights.track.observation import Sighting
 
 
 @dataclass(frozen=True)
@@ -55,28 +57,41 @@ class TypeStates:
             membership=np.array([[float(own == name) for name in names] for own in reported]),
         )
 
-    def likely_pair(self, belief: FloatArray) -> FlashingPair | None:
-        """The flashing pair in one of whose phases the light probably is.
+    def report(self, belief: FloatArray, sightings: Sequence[Sighting]) -> ReportedState:
+        """Name the state of a light.
 
         The dark phase belongs to a flash and to nothing else: in steady operation one indication is always lit. So on
-        and off are one hypothesis, and the first dark phase already tells a flash.
-        """
-        if not self.pairs:
-            return None
-        name = self.names[int(np.argmax(belief @ self.membership))]
-        return next((pair for pair in self.pairs if pair.reported == name), None)
-
-    def report(self, belief: FloatArray, pair: FlashingPair | None, verdict: FlashVerdict) -> ReportedState:
-        """Name the state of a light.
+        and off are one hypothesis, and the first dark phase already tells a flash. The duty cycle of the raw sightings
+        has the last word: it can prove a flash that the hidden states take for something else, and it can prove that a
+        light is steady. A light that stays dark is then reported as off, and not as flashing.
 
         Args:
             belief: (k,).
-            pair: The flashing pair that it may be in, if any.
-            verdict: What its duty cycle says of that pair. A light that proves steady is reported phase by phase: one
-                that stays dark is off, and not flashing.
+            sightings: Unfiltered, in the order of time.
         """
-        if pair is None or verdict == "steady":
-            best = int(np.argmax(belief))
-            return ReportedState(self.params.states[best], float(belief[best]), False)
         summed = belief @ self.membership
-        return ReportedState(pair.reported, float(summed[self.names.index(pair.reported)]), True)
+        likely = self.names[int(np.argmax(summed))]
+        latest = sightings[-1].class_id if sightings else None
+        for pair in self.pairs:
+            if likely != pair.reported and latest not in self._phases(pair):
+                continue
+            verdict = self._verdict(sightings, pair)
+            if verdict == "flashing" or (verdict == "unknown" and likely == pair.reported):
+                return ReportedState(pair.reported, float(summed[self.names.index(pair.reported)]), True)
+        best = int(np.argmax(belief))
+        return ReportedState(self.params.states[best], float(belief[best]), False)
+
+    def _phases(self, pair: FlashingPair) -> tuple[int, int]:
+        """Class ids of on and off."""
+        states = self.params.states
+        return int(self.class_ids[states.index(pair.on)]), int(self.class_ids[states.index(pair.off)])
+
+    def _verdict(self, sightings: Sequence[Sighting], pair: FlashingPair) -> FlashVerdict:
+        """Cameras that saw the light in one set vote by the height of their boxes."""
+        on, off = self._phases(pair)
+        votes: dict[int, float] = {}
+        for set_ns, class_id, height_px in sightings:
+            if class_id in (on, off):
+                votes[set_ns] = votes.get(set_ns, 0.0) + (height_px if class_id == on else -height_px)
+        stamps_s = [set_ns / 1e9 for set_ns in votes]
+        return flash_verdict(stamps_s, [vote > 0 for vote in votes.values()], pair)

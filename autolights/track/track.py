@@ -1,14 +1,12 @@
 """One light over time: its life, its memory, its place and the belief in its state."""
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from autolights.core import CameraView, FlashingPair, FloatArray
+from autolights.core import CameraView, FloatArray
 from autolights.track.config import TrackConfig
-from autolights.track.flashing import FlashVerdict, flash_verdict
 from autolights.track.observation import Sighting
 
 
@@ -101,17 +99,6 @@ class Track:
         assert self.information is not None
         self.information = self.information + information
         self.position = self.position + np.linalg.solve(self.information, information @ (position - self.position))
-
-    def flash_verdict(self, pair: FlashingPair, classes: Sequence[str]) -> FlashVerdict:
-        """What the raw sightings say about a flash; the cameras of one set vote by the height of their boxes."""
-        votes: dict[int, float] = {}
-        for set_ns, class_id, height_px in self.history:
-            name = classes[class_id]
-            if name in (pair.on, pair.off):
-                votes[set_ns] = votes.get(set_ns, 0.0) + (height_px if name == pair.on else -height_px)
-        stamps_ns = np.fromiter(votes, dtype=np.int64, count=len(votes))
-        lit = np.fromiter(votes.values(), dtype=np.float64, count=len(votes)) > 0
-        return flash_verdict((stamps_ns - self.last_seen_ns) / 1e9, lit, pair)
 
     def _is_due(self, config: TrackConfig) -> bool:
         if config.mode == "paper":

@@ -1,0 +1,157 @@
+"""What fusion and tracking cost: two cameras, 20 lights in view of both, recorded detections.
+
+Usage: python tools/bench_track.py [--lights 20] [--unmapped 2] [--sets 600] [--config runtime/default]
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from autolights.core import (
+    CameraModel,
+    Detections,
+    HmmParameters,
+    Pose,
+    PoseBuffer,
+    SignalSet,
+    TrafficLightMap,
+    load_config,
+    load_signals,
+)
+from autolights.core.frames import CameraFrame
+from autolights.core.light_box import light_corners, project_corners
+from autolights.core.transforms import CAMERA_AXES_FROM_VEHICLE_AXES, invert_rigid, rigid
+from autolights.pipeline import LightPipeline, PipelineConfig
+
+RATE_HZ = 10.0
+IMAGE = np.zeros((1, 1, 3), np.uint8)  # never looked at
+
+
+class NoDetector:
+    """Detections are made before the clock starts."""
+
+    def batch(self, images_bgr: object) -> list[Detections]:
+        """Never called."""
+        raise AssertionError
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lights", type=int, default=20)
+    parser.add_argument("--unmapped", type=int, default=2, help="of the lights, how many the map does not hold")
+    parser.add_argument("--sets", type=int, default=600)
+    parser.add_argument("--config", default="runtime/default")
+    arguments = parser.parse_args()
+
+    signals = load_signals()
+    cameras = {"narrow": make_camera("narrow", 47.3), "wide": make_camera("wide", 85.7)}
+    lights = make_lights(arguments.lights, signals)
+    known = lights.take(np.arange(arguments.lights - arguments.unmapped))
+    poses = [make_pose(i / 50) for i in range(int(50 * arguments.sets / RATE_HZ) + 50)]
+    pipeline = LightPipeline(
+        NoDetector(),
+        make_hmm(signals),
+        signals,
+        cameras,
+        known,
+        load_config(arguments.config, PipelineConfig),
+        poses=PoseBuffer(poses),
+    )
+    rng = np.random.default_rng(0)
+    times_ms, reported, in_view = [], [], []
+    for i in range(arguments.sets):
+        t = i / RATE_HZ
+        frames = [CameraFrame(name, round((t + 0.004 * k) * 1e9), IMAGE) for k, name in enumerate(cameras)]
+        detections = [detect(lights, cameras[f.camera], f.stamp_ns / 1e9, signals, rng) for f in frames]
+        start_ns = time.perf_counter_ns()
+        estimates = pipeline.step_detections(frames, detections)
+        times_ms.append((time.perf_counter_ns() - start_ns) / 1e6)
+        reported.append(len(estimates))
+        in_view.append(np.mean([len(found) for found in detections]))
+
+    median_ms, p99_ms = np.median(times_ms), np.percentile(times_ms, 99)
+    print(f"{arguments.sets} sets of 2 images, {np.mean(in_view):.1f} detections an image, ", end="")
+    print(f"{np.mean(reported):.1f} lights reported")
+    print(f"per set:   median {median_ms:.2f} ms, p99 {p99_ms:.2f} ms")
+    print(f"per image: median {median_ms / 2:.2f} ms, p99 {p99_ms / 2:.2f} ms")
+
+
+def make_camera(name: str, fov_deg: float) -> CameraModel:
+    """A forward camera of 1280 x 800 pixels that sees 64 m far."""
+    focal_px = 640 / np.tan(np.radians(fov_deg / 2))
+    return CameraModel(
+        name=name,
+        size_wh=(1280, 800),
+        intrinsics=np.array([[focal_px, 0, 639.5], [0, focal_px, 399.5], [0, 0, 1]]),
+        distortion=np.array([-0.08, 0.02, 0.0004, -0.0003]),
+        cam_from_ins=rigid(CAMERA_AXES_FROM_VEHICLE_AXES, np.zeros(3)),
+        max_range_m=64.0,
+    )
+
+
+def make_lights(count: int, signals: SignalSet) -> TrafficLightMap:
+    """Lights in two rows across the road, 1.6 m apart, of all types by turns."""
+    types = tuple(list(signals.types)[i % len(signals.types)] for i in range(count))
+    across = 1.6 * (np.arange(count) // 2 - count / 4)
+    return TrafficLightMap(
+        ids=tuple(f"light-{i}" for i in range(count)),
+        types=types,
+        positions=np.stack([np.full(count, 50.0), across, 5.0 + 3.0 * (np.arange(count) % 2)], axis=1),
+        headings_deg=np.full(count, 270.0),
+        sizes_m=signals.sizes_m(types),
+    )
+
+
+def make_pose(t: float) -> Pose:
+    """The vehicle creeps, so that all lights stay in view."""
+    return Pose(round(t * 1e9), np.array([min(0.2 * t, 10.0), 0.0, 1.5]), np.array([0.0, 0.0, 0.0, 1.0]))
+
+
+def make_hmm(signals: SignalSet) -> dict[str, HmmParameters]:
+    """A detector that is right nine times out of ten."""
+    hmm = {}
+    for name in signals.types:
+        states, rates = signals.states_of(name), signals.rates(name)
+        k = len(states)
+        observation = np.full((k, k), 0.1 / (k - 1)) + np.eye(k) * (0.9 - 0.1 / (k - 1))
+        hmm[name] = HmmParameters(
+            type=name,
+            states=states,
+            initial=np.full(k, 1 / k),
+            rates=rates,
+            nominal_dt_s=1 / RATE_HZ,
+            transition=np.eye(k) + rates / RATE_HZ,
+            observation=observation,
+            evidence=observation.T,
+            miss_probs=np.full(k, 0.1),
+            counts=observation,
+            provenance={},
+        )
+    return hmm
+
+
+def detect(
+    lights: TrafficLightMap, camera: CameraModel, t: float, signals: SignalSet, rng: np.random.Generator
+) -> Detections:
+    """The truth with jitter, one in twenty missed, one class in ten wrong; arrow lights flash."""
+    corners = light_corners(lights.positions, lights.headings_deg, lights.sizes_m)
+    boxes = project_corners(corners, camera, camera.cam_from_ins @ invert_rigid(make_pose(t).utm_from_ins))
+    seen = ~np.isnan(boxes).any(axis=1) & (rng.random(len(lights)) > 0.05)
+    class_probs = np.full((len(lights), len(signals.classes)), 0.02)
+    for i, light_type in enumerate(lights.types):
+        states = signals.states_of(light_type)
+        shown = states[0]
+        if signals.types[light_type].flashing:
+            pair = signals.types[light_type].flashing[0]
+            shown = pair.on if t % 1.1 < 0.6 else pair.off
+        if rng.random() < 0.1:
+            shown = states[int(rng.integers(len(states)))]
+        class_probs[i, signals.class_ids[shown]] = 0.85
+    boxes = boxes + rng.normal(0, 1, boxes.shape)
+    return Detections(boxes, np.full(len(lights), 0.9), class_probs)[seen]
+
+
+if __name__ == "__main__":
+    main()
