@@ -97,7 +97,7 @@ class ImageCache:
             return image
         scale = self._long_side_px / max(image.shape[:2])
         size_wh = (max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1))
-        return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR))
+        return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_LINEAR))
 
 
 class TrainingSamples(Dataset[Sample]):
