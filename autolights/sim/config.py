@@ -160,6 +160,8 @@ class DriveConfig(Config):
         name: Of its folder.
         lighting: The light all along.
         duration_s: Seconds.
+        near_types: Types of the near junction's heads over our lanes, from left to right.
+        far_types: The same of the far junction.
         near_green_s: When the near junction's through signal turns green, after the start (negative: before it).
         far_green_s: The same of the far junction.
         cruise_mps: Speed on the open road.
@@ -168,6 +170,8 @@ class DriveConfig(Config):
     name: str
     lighting: LightingName = "sunny"
     duration_s: float = Field(default=22.0, gt=0)
+    near_types: tuple[str, ...] = Field(default=("4", "3", "5dh"), min_length=1, max_length=4)
+    far_types: tuple[str, ...] = Field(default=("5dh", "4", "3"), min_length=1, max_length=4)
     near_green_s: float = 13.0
     far_green_s: float = 3.0
     cruise_mps: float = Field(default=9.0, gt=0)
@@ -213,14 +217,20 @@ class TrafficConfig(Config):
     """What passes between the cameras and the lights.
 
     Attributes:
-        gap_s: Pause between one occluder and the next.
-        lorry_speed_mps: Of lorries and vans that cross.
-        walk_mps: Of pedestrians with umbrellas.
+        headway_s: From one vehicle on the crossing road to the next in its lane.
+        lorry_share: Share of them that are 4 m high: one of these hides all lights behind it for about a second.
+        van_share: Share of them that are 2.7 m high: one of these hides the far junction's lights.
+        speed_mps: Of crossing vehicles.
+        walker_gap_s: From one pedestrian with an umbrella to the next.
+        walk_mps: Of pedestrians.
     """
 
-    gap_s: Range = (1.0, 3.0)
-    lorry_speed_mps: Range = (8.0, 11.0)
-    walk_mps: Range = (1.2, 1.8)
+    headway_s: Range = (1.8, 3.2)
+    lorry_share: float = Field(default=0.3, ge=0, le=1)
+    van_share: float = Field(default=0.2, ge=0, le=1)
+    speed_mps: Range = (8.5, 11.0)
+    walker_gap_s: Range = (2.0, 4.5)
+    walk_mps: Range = (1.3, 1.8)
 
 
 class DrivesConfig(Config):

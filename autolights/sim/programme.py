@@ -121,12 +121,12 @@ def draw_programme(through_start_s: float, rng: np.random.Generator) -> Programm
     """A programme as short as a lightly used actuated junction's, so that a short drive sees it change."""
     period = float(rng.uniform(1.0, 1.2))
     durations = (
-        float(rng.uniform(4.0, 5.5)),
-        float(rng.uniform(3.0, 3.4)),
+        float(rng.uniform(3.8, 4.8)),
+        float(rng.uniform(3.0, 3.3)),
         1.0,
         float(rng.uniform(7.0, 8.5)),
         float(rng.uniform(3.0, 3.6)),
-        float(rng.uniform(4.5, 6.0)),
+        float(rng.uniform(6.5, 8.0)),
     )
     return Programme(durations, through_start_s, period, period * float(rng.uniform(0.52, 0.64)))
 
