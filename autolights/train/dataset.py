@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from autolights.core.arrays import FloatArray, ImageArray, IntArray
 from autolights.core.boxes import cxcywh_from_xyxy
+from autolights.core.errors import DataError
 from autolights.core.progress import track
 from autolights.data.image_dataset import ImageDataset
 from autolights.train.augment import PixelChanges, flip, may_flip
@@ -191,6 +192,22 @@ def batch_loader(samples: TrainingSamples, order: EpochOrder, config: TrainConfi
         multiprocessing_context="fork" if forked else None,
         worker_init_fn=_start_worker,
     )
+
+
+def iterate(loader: DataLoader[Sample]) -> Iterator[Batch]:
+    """The batches of an epoch.
+
+    Raises:
+        DataError: If an image does not decode; the text names it.
+    """
+    try:
+        yield from loader
+    except DataError as error:
+        # From a worker it arrives wrapped in its traceback; what it said is the last line.
+        text = str(error).strip()
+        if "\n" not in text:
+            raise
+        raise DataError(text.splitlines()[-1].removeprefix(f"{DataError.__module__}.DataError: ")) from error
 
 
 def collate(samples: Sequence[Sample]) -> Batch:

@@ -3,10 +3,9 @@
 import math
 import shutil
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ from torch.optim import Optimizer
 from torch.utils.data import DataLoader
 
 import autolights
-from autolights.core import load_signals
+from autolights.core import IntArray, load_signals
 from autolights.core.atomic import refuse_existing
 from autolights.core.config import save_config
 from autolights.core.errors import TrainingError, UsageError
@@ -23,7 +22,7 @@ from autolights.data.image_dataset import ImageDataset, load_image_dataset
 from autolights.train.augment import mirror_table
 from autolights.train.checkpoint import Checkpoint
 from autolights.train.config import TrainConfig
-from autolights.train.dataset import Batch, EpochOrder, Sample, TrainingSamples, batch_loader
+from autolights.train.dataset import Batch, EpochOrder, Sample, TrainingSamples, batch_loader, iterate
 from autolights.train.ema import WeightAverage
 from autolights.train.loss import detection_loss
 from autolights.train.metrics import DetectionMetrics
@@ -94,7 +93,7 @@ def train(config: TrainConfig, out_dir: Path, *, force: bool = False) -> TrainRe
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
-    images, held_out = (_load(config, split) for split in ("train", "val"))
+    images, held_out = _load(config, "train"), _load(config, "val")
     say(f"{len(images)} images with {images.label_count} labels to train on, {len(held_out)} held out")
     model = YoloV5(config.size, len(images.classes), images.classes)
     if config.weights:
@@ -121,7 +120,7 @@ def train(config: TrainConfig, out_dir: Path, *, force: bool = False) -> TrainRe
                     best = (_fitness(metrics), epoch, metrics)
                     checkpoint.save(out_dir / BEST)
                     metrics.save(out_dir / METRICS)
-                rate = state.schedule.annealed(state.step - 1)
+                rate = state.schedule.at(state.step - 1).rate
                 row = EpochRow(epoch, rate, *losses, metrics, time.monotonic() - epoch_started)
                 log.epoch(row)
                 say(_summary(row, config.epochs))
@@ -142,7 +141,7 @@ def _device(config: TrainConfig) -> torch.device:
     return device
 
 
-def _load(config: TrainConfig, split: Any) -> ImageDataset:
+def _load(config: TrainConfig, split: Literal["train", "val"]) -> ImageDataset:
     return load_image_dataset(
         Path(config.data),
         split,
@@ -152,7 +151,7 @@ def _load(config: TrainConfig, split: Any) -> ImageDataset:
     )
 
 
-def _mirrors(config: TrainConfig, images: ImageDataset) -> Any:
+def _mirrors(config: TrainConfig, images: ImageDataset) -> IntArray:
     name = config.signals or images.signals
     if config.mirrors or not name:
         return mirror_table(images.classes, None, config.mirrors)
@@ -202,10 +201,9 @@ def _train_epoch(
     device = next(state.model.parameters()).device
     state.model.train()
     sums = np.zeros(3)
-    batches: Iterator[Batch] = track(
-        loader, description=f"epoch {epoch}/{config.epochs}", total=len(loader), unit="batches"
-    )
-    for batch in batches:
+    for batch in track(
+        iterate(loader), description=f"epoch {epoch}/{config.epochs}", total=len(loader), unit="batches"
+    ):
         if state.step == 0:
             log.batch_picture(batch, images.classes)
         set_rates(state.optimizer, state.schedule.at(state.step))

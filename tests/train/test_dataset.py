@@ -1,11 +1,15 @@
+import re
+import shutil
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
+from autolights.core.errors import DataError
 from autolights.data import load_image_dataset
 from autolights.train.config import TrainConfig
-from autolights.train.dataset import EpochOrder, ImageCache, TrainingSamples, Visit, batch_loader, collate
+from autolights.train.dataset import EpochOrder, ImageCache, TrainingSamples, Visit, batch_loader, collate, iterate
 
 MIRRORS = np.array([0, -1])
 
@@ -89,6 +93,23 @@ def test_workers_make_the_same_batches(images):
     assert [batch.indices for batch in batches[0]] == [batch.indices for batch in batches[1]]
     assert all(torch.equal(a.images, b.images) for a, b in zip(*batches, strict=True))
     assert all(torch.equal(a.labels, b.labels) for a, b in zip(*batches, strict=True))
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_an_image_that_does_not_decode_is_named_in_one_line(images, workers, tmp_path):
+    shutil.copytree(images.root, tmp_path, dirs_exist_ok=True)
+    broken = tmp_path / "images/train/3.png"
+    broken.write_bytes(b"not a picture")
+    copied = load_image_dataset(tmp_path, "train", classes=["ball", "arrow"])
+    settings = config(copied, workers=workers, cache_mb=0)
+    loader = batch_loader(
+        TrainingSamples(copied, MIRRORS, settings), EpochOrder(len(copied), repeats=1, seed=0), settings
+    )
+
+    with pytest.raises(DataError, match=f"^{re.escape(str(broken))}: not an image that can be decoded; [a-z ]+$"):
+        list(iterate(loader))
+    with pytest.raises(DataError, match=r"3\.png: not an image"):
+        samples_of(copied)  # read at once into the cache
 
 
 def test_each_epoch_visits_every_image_in_another_order():
