@@ -101,6 +101,9 @@ def export(
     size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
     score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the runtime.")] = 0.25,
     metrics: Annotated[Path | None, typer.Option(help="metrics.json of `val`, kept in the manifest.")] = None,
+    image: Annotated[
+        list[str] | None, typer.Option(help="Images to compare on, beside random ones; repeatable.")
+    ] = None,
     force: Force = False,
 ) -> None:
     """Export a checkpoint to ONNX and check it number by number against the network it came from.
@@ -111,6 +114,7 @@ def export(
     Example: autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
     """
     from autolights.core.atomic import refuse_existing
+    from autolights.infer import ImageSources
     from autolights.train import export_onnx, load_checkpoint
 
     refuse_existing(out, force=force)
@@ -122,6 +126,7 @@ def export(
         out,
         size_wh=(int(width), int(height)),
         score_threshold=score_threshold,
+        images=[source.image_bgr for source in ImageSources(image)] if image else (),
         training=_read_json(metrics) if metrics else None,
     )
     typer.echo(f"{out}: {json.dumps(report.info.parity)}")

@@ -16,6 +16,8 @@ from autolights.run_drive import run_drive
 from autolights.sim import DrivesConfig, ImagesConfig, simulate_drives, simulate_images
 from autolights.train import TrainConfig, evaluate_detector, export_onnx, fit_hmm, load_checkpoint, train
 
+_PARITY_IMAGES = 4  # real images on which the export is compared with the network, beside random ones
+
 
 def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
     """Run the main job into `out_dir`; what is there and unchanged is kept.
@@ -74,11 +76,13 @@ def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
 
     def make_export() -> None:
         metrics = json.loads((validation / "metrics.json").read_text())
+        dataset = load_image_dataset(images, "val")
         export_onnx(
             load_checkpoint(training / "best.pt"),
             model_path,
             size_wh=config.input_size_wh,
             score_threshold=config.score_threshold,
+            images=[dataset.read(i) for i in range(min(_PARITY_IMAGES, len(dataset)))],
             training={name: metrics[name] for name in ("ap", "ap50", "ap75", "ap_s", "ap_m", "images", "labels")},
         )
 

@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from autolights.train.config import TrainConfig
     from autolights.train.engine import TrainResult, train
     from autolights.train.export import ExportReport, export_onnx
-    from autolights.train.fit_hmm import fit_hmm
+    from autolights.train.hmm_fitting import fit_hmm
     from autolights.train.metrics import DetectionMetrics
     from autolights.train.model import YoloV5
     from autolights.train.validate import evaluate_detector
@@ -21,7 +21,7 @@ _HOMES = {
     "YoloV5": "model",
     "evaluate_detector": "validate",
     "export_onnx": "export",
-    "fit_hmm": "fit_hmm",
+    "fit_hmm": "hmm_fitting",
     "load_checkpoint": "weights",
     "train": "engine",
 }

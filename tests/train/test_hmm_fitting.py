@@ -4,7 +4,7 @@ import scipy.linalg
 
 from autolights.core import ConfusionMatrix, load_signals
 from autolights.core.errors import ConfigError, UsageError
-from autolights.train.fit_hmm import fit_hmm, stationary_distribution
+from autolights.train.hmm_fitting import fit_hmm, stationary_distribution
 
 SIGNALS = load_signals()
 GREEN, RED, YELLOW = 0, 1, 2  # states of type "3"
