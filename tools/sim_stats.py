@@ -9,63 +9,65 @@ import numpy as np
 
 from autolights.core import load_signals
 from autolights.data import Drive, load_truth
+from autolights.evaluate.in_view import lights_in_view
 
-MIN_HEIGHT_PX, MAX_FACING_DEG, HIDDEN = 8.0, 60.0, 0.5
+HIDDEN = 0.5  # a light counts as hidden from this share of its box on
+HEIGHT_EDGES_PX = (8, 12, 16, 24, 32, 48, 64, 96, 200)
 
 
 def main() -> None:
-    """Read every drive of the folder and print."""
+    """Read every drive of the folder, count the lights in view and print shares per drive and overall."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="holds one folder per drive")
     folder: Path = parser.parse_args().folder
     signals = load_signals()
     totals: Counter[str] = Counter()
     classes: Counter[str] = Counter()
-    heights: list[float] = []
+    heights_px: list[float] = []
     episodes_s: list[float] = []
     for drive_yaml in sorted(folder.glob("*/drive.yaml")):
         drive = Drive.load(drive_yaml.parent, signals)
-        counts: Counter[str] = Counter()
-        hidden_since: dict[tuple[str, str], tuple[int, int]] = {}
-        shown: dict[str, list[str]] = {}
         poses = drive.pose_buffer()
+        counts: Counter[str] = Counter()
+        hidden: dict[tuple[str, str], list[tuple[int, bool]]] = {}
+        shown: dict[str, list[str]] = {}
         for frame in load_truth(drive.truth_path):
-            camera = drive.cameras[frame.camera]
-            utm_from_cam = poses.at(frame.stamp_ns).utm_from_ins @ np.linalg.inv(camera.cam_from_ins)
-            for light in frame.lights:
-                _, top, _, bottom = light.box_xyxy
-                towards = utm_from_cam[:3, 3] - light.position
-                bearing = np.degrees(np.arctan2(towards[0], towards[1]))
-                facing = abs((bearing - light.heading_deg + 180) % 360 - 180)
-                near = np.linalg.norm(towards) <= camera.max_range_m
-                if light.truncated or not near or bottom - top < MIN_HEIGHT_PX or facing > MAX_FACING_DEG:
-                    continue
+            for light in lights_in_view(frame.lights, drive.cameras[frame.camera], poses.at(frame.stamp_ns)):
+                is_hidden = light.occlusion > HIDDEN
                 counts["light-frames"] += 1
-                counts["hidden"] += light.occlusion > HIDDEN
+                counts["hidden"] += is_hidden
                 counts["flashing"] += light.flashing
                 counts["dark"] += light.lit_class != light.class_name
                 counts["not in map"] += light.map_id is None
                 classes[light.class_name] += 1
-                heights.append(bottom - top)
+                heights_px.append(light.box_xyxy[3] - light.box_xyxy[1])
                 shown.setdefault(light.truth_id, []).append(light.class_name)
-                key = (frame.camera, light.truth_id)
-                if light.occlusion > HIDDEN:
-                    first, _ = hidden_since.get(key, (frame.stamp_ns, 0))
-                    hidden_since[key] = (first, frame.stamp_ns)
-                elif key in hidden_since:
-                    first, last = hidden_since.pop(key)
-                    episodes_s.append((last - first) / 1e9 + 0.1)
-        episodes_s += [(last - first) / 1e9 + 0.1 for first, last in hidden_since.values()]
+                hidden.setdefault((frame.camera, light.truth_id), []).append((frame.stamp_ns, is_hidden))
+        for views in hidden.values():
+            episodes_s += _episodes_s(views)
         changes = sum(a != b for names in shown.values() for a, b in pairwise(names))
         print(f"{drive.name}: {_shares(counts)}, {changes} changes of state in view")
         totals += counts
     print(f"all: {_shares(totals)}")
-    print("classes:", {name: classes[name] for name in signals.classes if name != "4-off"})
-    edges = [8, 12, 16, 24, 32, 48, 64, 96, 200]
-    print("heights px:", dict(zip(edges, np.histogram(heights, [*edges[:-1], 200])[0].tolist(), strict=False)))
+    print("classes:", {name: classes[name] for name in signals.classes if name in classes})
+    print(
+        "heights px:", dict(zip(HEIGHT_EDGES_PX, np.histogram(heights_px, HEIGHT_EDGES_PX)[0].tolist(), strict=False))
+    )
     if episodes_s:
-        quartiles = np.percentile(episodes_s, [25, 50, 75, 100]).round(2).tolist()
-        print(f"hidden episodes: {len(episodes_s)}, quartiles and longest {quartiles} s")
+        deciles = np.percentile(episodes_s, [10, 50, 90, 100]).round(2).tolist()
+        print(f"hidden episodes: {len(episodes_s)}; 10 %, 50 %, 90 % and all are shorter than {deciles} s")
+
+
+def _episodes_s(views: list[tuple[int, bool]]) -> list[float]:
+    """Lengths of the stretches in which one light is hidden from one camera, from (stamp, hidden) in order of time."""
+    lengths_s, start_ns = [], None
+    for stamp_ns, is_hidden in views:
+        if is_hidden and start_ns is None:
+            start_ns = stamp_ns
+        elif not is_hidden and start_ns is not None:
+            lengths_s.append((stamp_ns - start_ns) / 1e9)
+            start_ns = None
+    return lengths_s
 
 
 def _shares(counts: Counter[str]) -> str:

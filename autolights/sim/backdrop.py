@@ -250,11 +250,8 @@ def paint_skyline(canvas: ImageArray, view: View, lighting: Lighting, *, end_m: 
 @lru_cache(maxsize=8)
 def _camera_rays(camera: CameraModel) -> FloatArray:
     """(h, w, 3) unit rays of every fourth pixel's block, in the camera frame."""
-    width, height = camera.size_wh
-    columns, rows = (
-        np.arange(width // _GRID) * _GRID + (_GRID - 1) / 2,
-        np.arange(height // _GRID) * _GRID + (_GRID - 1) / 2,
-    )
+    # Block middles, exact for any size: cv2.resize maps the grid back onto the whole image in the same way.
+    columns, rows = ((np.arange(-(-n // _GRID)) + 0.5) * (n / -(-n // _GRID)) - 0.5 for n in camera.size_wh)
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     rays = back_project(pixels, camera)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -92,7 +92,7 @@ def simulate_image(config: ImagesConfig, split: Split, index: int) -> LabelledIm
     rng = np.random.default_rng([config.seed, 0 if split == "train" else 1, index])
     signals = load_cached_signals(config.signals)
     lighting = LIGHTINGS[_draw_lighting(config, rng)]
-    town = build_town(signals, _draw_plans(signals, rng, empty=rng.uniform() < config.empty_share), rng)
+    town = build_town(signals, draw_plans(signals, rng, empty=rng.uniform() < config.empty_share), rng)
     camera = build_cameras(config.cameras)[int(rng.integers(len(config.cameras)))]
     view = View(camera, _draw_pose(config, town, rng))
     eye_x = float(view.position[0])
@@ -101,7 +101,7 @@ def simulate_image(config: ImagesConfig, split: Split, index: int) -> LabelledIm
         ground=draw_ground(town.markings, eye_x, eye_x + 150, lighting),
         lighting=lighting,
         solids=_draw_traffic(town, eye_x, rng),
-        shown=_draw_shown(config, signals, town, rng),
+        shown=draw_shown(config, signals, town, rng),
     )
     painting = render(scene, view, _painter(config.signals, lighting))
     class_ids, boxes = _label(config, signals, scene, view, painting)
@@ -138,7 +138,7 @@ def _draw_lighting(config: ImagesConfig, rng: np.random.Generator) -> LightingNa
     return names[int(rng.choice(len(names), p=weights / weights.sum()))]
 
 
-def _draw_plans(signals: SignalSet, rng: np.random.Generator, *, empty: bool) -> list[JunctionPlan]:
+def draw_plans(signals: SignalSet, rng: np.random.Generator, *, empty: bool) -> list[JunctionPlan]:
     """Two junctions; types as frequent as they have classes, so that all classes are about equally frequent."""
     if empty:
         return [JunctionPlan(()), JunctionPlan(())]
@@ -171,7 +171,7 @@ def _draw_pose(config: ImagesConfig, town: Town, rng: np.random.Generator) -> Fl
     return rigid(rotation, np.array([x, y, INS_HEIGHT_M + float(rng.uniform(-0.25, 0.5))]))
 
 
-def _draw_shown(config: ImagesConfig, signals: SignalSet, town: Town, rng: np.random.Generator) -> dict[str, Shown]:
+def draw_shown(config: ImagesConfig, signals: SignalSet, town: Town, rng: np.random.Generator) -> dict[str, Shown]:
     """Each head for itself, all classes of its type alike: nothing can be guessed from its neighbours."""
     shown = {}
     for head in town.heads:
