@@ -179,6 +179,8 @@ class LightPipeline:
             UsageError: If a frame comes from an unknown camera.
         """
         self._check_cameras(frames)
+        if not frames:
+            return []
         return self.step_detections(frames, self._detector.batch([frame.image_bgr for frame in frames]))
 
     def step_detections(self, frames: Sequence[Stamped], detections: Sequence[Detections]) -> list[LightEstimate]:

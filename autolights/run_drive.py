@@ -60,7 +60,7 @@ class RunSummary:
     """What came of a run.
 
     Attributes:
-        drive: Name of the drive.
+        drive: Folder of the drive.
         skipped: How many frames were left out, by reason.
         variants: Times of each variant.
     """
@@ -212,7 +212,7 @@ class _Run:
         skipped = Counter(self._unreadable)
         skipped.update(next(iter(self._pipelines.values())).skipped)
         return RunSummary(
-            drive=self._drive.name,
+            drive=str(self._drive.folder.resolve()),
             skipped=dict(skipped),
             variants={
                 variant: VariantTimes(self._images[variant], tuple(self._detect_ms), tuple(track_ms))

@@ -29,7 +29,7 @@ class TrackConfig(Config):
     birth_hits: int = Field(default=2, ge=1)
     death_sets: int = Field(default=15, ge=0)
     max_coast_s: float = Field(default=2.0, gt=0)
-    error_correlation_s: float = Field(default=0.25, ge=0)
+    error_correlation_s: float = Field(default=0.15, ge=0)
     history_size: int = Field(default=64, ge=1)
     history_s: float = Field(default=4.0, ge=0)
     box_sigma_px: float = Field(default=1.5, gt=0)

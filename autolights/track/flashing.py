@@ -68,8 +68,8 @@ def _is_steady(stamps_s: Sequence[float], lit: Sequence[bool], pair: FlashingPai
 
 
 def _is_legal(period_s: float, limits_s: tuple[float, float], step_s: float) -> bool:
-    tolerance = _tolerance(period_s, step_s)
-    return limits_s[0] * (1 - tolerance) <= period_s <= limits_s[1] * (1 + tolerance)
+    low_s, high_s = limits_s
+    return low_s * (1 - _tolerance(low_s, step_s)) <= period_s <= high_s * (1 + _tolerance(high_s, step_s))
 
 
 def _tolerance(period_s: float, step_s: float) -> float:

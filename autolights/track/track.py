@@ -26,7 +26,7 @@ class Track:
         last_set_ns: Latest set.
         hits: Consecutive sets with a detection, before birth.
         misses: Sets in which it was expected but not detected, since the last detection.
-        missed_s: The time that they cover.
+        missed_ns: The time that they cover.
         alive: Born and not dead: its state may be reported.
         known: Born at least once: an unmapped light keeps its place after death.
         history: Unfiltered sightings.
@@ -45,7 +45,7 @@ class Track:
     last_set_ns: int
     hits: int = 0
     misses: int = 0
-    missed_s: float = 0.0
+    missed_ns: int = 0
     alive: bool = False
     known: bool = False
     history: deque[Sighting] = field(default_factory=deque)
@@ -66,13 +66,13 @@ class Track:
         """Count the set that ends as a hit, as a miss, or as neither where no camera covered the light."""
         if self.detected:
             self.hits += 1
-            self.misses, self.missed_s = 0, 0.0
+            self.misses, self.missed_ns = 0, 0
             self.last_seen_ns = set_ns
             if self.hits >= config.birth_hits:
                 self.alive = self.known = True
         elif self.views:
             self.misses += 1
-            self.missed_s += (set_ns - self.last_set_ns) / 1e9
+            self.missed_ns += set_ns - self.last_set_ns
             if not self.alive or self._is_due(config):
                 self.alive, self.hits = False, 0
                 self.history.clear()
@@ -103,4 +103,4 @@ class Track:
     def _is_due(self, config: TrackConfig) -> bool:
         if config.mode == "paper":
             return self.misses > config.death_sets
-        return self.missed_s > config.max_coast_s
+        return self.missed_ns > config.max_coast_s * 1e9
