@@ -102,7 +102,8 @@ def _demo_text(summary: dict[str, Any], out: Path) -> str:
     names = {"od": "OD", "od_fusion": "OD + Fusion", "proposed": "OD + Fusion + Tracking"}
     for key, name in names.items():
         row = summary[key]
-        rows.append(f"{name:24}{row['fps']:8.1f}{row['ape_m']:10.2f}{row['class_accuracy']:20.1f}")
+        ape = "–" if row["ape_m"] is None else f"{row['ape_m']:.2f}"
+        rows.append(f"{name:24}{row['fps']:8.1f}{ape:>10}{row['class_accuracy']:20.1f}")
     rows.append(f"{sum(summary['minutes'].values()):.1f} minutes; open {out / 'report.html'}")
     return "\n".join(rows)
 
