@@ -14,16 +14,17 @@ from autolights.core.atomic import new_folder, write_text
 from autolights.core.boxes import clip, cxcywh_from_xyxy
 from autolights.core.progress import track
 from autolights.core.transforms import rigid
-from autolights.sim.backdrop import draw_ground
+from autolights.sim.actors import VehicleKind, pedestrian, vehicle
 from autolights.sim.config import ImagesConfig, LightingName
 from autolights.sim.disturbances import disturbed_look, ordinary_look
+from autolights.sim.ground import draw_ground
 from autolights.sim.heads import HeadPainter
 from autolights.sim.lighting import LIGHTINGS, Lighting
 from autolights.sim.programme import check_types
 from autolights.sim.render import Painting, Scene, Shown, render
 from autolights.sim.rig import INS_HEIGHT_M, build_cameras, rotation_from_angles
 from autolights.sim.sensor import draw_sensor, expose
-from autolights.sim.solids import Solid, VehicleKind, pedestrian, vehicle
+from autolights.sim.solids import Solid
 from autolights.sim.town import LANE_CENTERS_M, JunctionPlan, Town, build_town
 from autolights.sim.view import View
 from autolights.sim.visibility import amodal_box, inside_share, occlusion

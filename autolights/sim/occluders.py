@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from autolights.core import FloatArray
+from autolights.sim.actors import VehicleKind, car, pedestrian, vehicle
 from autolights.sim.config import TrafficConfig
 from autolights.sim.lighting import Bgr
 from autolights.sim.programme import Programme
-from autolights.sim.solids import Solid, VehicleKind, car, pedestrian, vehicle
+from autolights.sim.solids import Solid
 from autolights.sim.town import HALF_WIDTH_M, LANE_CENTERS_M, Junction
 from autolights.sim.vehicle import Motion, drive_along
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from autolights.core import FloatArray, ImageArray
-from autolights.sim.backdrop import Ground, paint_sky, paint_skyline
 from autolights.sim.disturbances import HeadLook
 from autolights.sim.furniture import Beam, Sign, Tree
+from autolights.sim.ground import Ground
 from autolights.sim.heads import HeadPainter, SignalHead
 from autolights.sim.lighting import Lighting
 from autolights.sim.paste import add_glow
+from autolights.sim.sky import paint_sky, paint_skyline
 from autolights.sim.solids import Solid
 from autolights.sim.town import Town
 from autolights.sim.view import View

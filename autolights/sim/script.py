@@ -7,9 +7,9 @@ import numpy as np
 
 from autolights.core import CameraModel, FloatArray, SignalSet
 from autolights.core.transforms import rigid
-from autolights.sim.backdrop import Ground, draw_ground
 from autolights.sim.config import DrivesConfig
 from autolights.sim.disturbances import Disturbance, HeadLook, look_at, ordinary_look, plan_disturbances
+from autolights.sim.ground import Ground, draw_ground
 from autolights.sim.lighting import LIGHTINGS, Lighting
 from autolights.sim.occluders import (
     Companion,

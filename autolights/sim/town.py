@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from autolights.core import FloatArray, SignalSet
-from autolights.sim.backdrop import Building, Markings
+from autolights.sim.buildings import Building
+from autolights.sim.faces import HousingColor
 from autolights.sim.furniture import SIGN_KINDS, Beam, Sign, Tree
-from autolights.sim.heads import HousingColor, SignalHead
+from autolights.sim.ground import Markings
+from autolights.sim.heads import SignalHead
 
 HALF_WIDTH_M = 10.4
 LANE_CENTERS_M = (-1.8, -5.25, -8.7)  # ours: left turn, through, through

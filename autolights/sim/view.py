@@ -1,12 +1,14 @@
 """A camera in the town: points and polygons of the town frame onto the image."""
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
-from autolights.core import CameraModel, FloatArray, project_points
+from autolights.core import CameraModel, FloatArray, back_project, project_points
 from autolights.core.transforms import invert_rigid, transform_points
 
+RAY_GRID = 4  # rays are computed for every fourth pixel and interpolated between
 _NEAR_M = 0.4
 _GUARD = 1.6  # polygons are cut at this multiple of the image's half width, far outside the picture
 
@@ -40,6 +42,10 @@ class View:
     def position(self) -> FloatArray:
         """(3,) the camera's centre in the town."""
         return self.town_from_cam[:3, 3]
+
+    def rays(self) -> FloatArray:
+        """(h, w, 3) unit rays in the town frame, one for each block of `RAY_GRID` x `RAY_GRID` pixels."""
+        return np.asarray(_camera_rays(self.camera) @ self.town_from_cam[:3, :3].T)
 
     def depth_m(self, point_town: FloatArray) -> float:
         """Distance of a (3,) point along the optical axis."""
@@ -79,3 +85,14 @@ def _cut(points: FloatArray, plane: FloatArray) -> FloatArray:
         if here >= 0:
             kept.append(points[i])
     return np.array(kept).reshape(-1, 3)
+
+
+@lru_cache(maxsize=8)
+def _camera_rays(camera: CameraModel) -> FloatArray:
+    """(h, w, 3) unit rays of every fourth pixel's block, in the camera frame."""
+    # Block middles, exact for any size: cv2.resize maps the grid back onto the whole image in the same way.
+    columns, rows = ((np.arange(-(-n // RAY_GRID)) + 0.5) * (n / -(-n // RAY_GRID)) - 0.5 for n in camera.size_wh)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    rays = back_project(pixels, camera)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return rays.reshape(len(rows), len(columns), 3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from autolights.core import load_config, load_signals, project_points
+from autolights.core.light_box import light_corners, project_corners
 from autolights.core.transforms import invert_rigid, transform_points
 from autolights.data import Drive, TruthFrame, load_truth
 from autolights.sim import DrivesConfig, simulate_drives
@@ -65,6 +66,25 @@ def test_truth_boxes_lie_where_calibration_and_poses_put_the_lights(drive: Drive
             assert abs(middle[1] - (top + bottom) / 2) < 2
             seen += 1
     assert seen > 60
+
+
+def test_truth_boxes_are_those_of_the_housings_corners_from_the_true_pose(
+    drive: Drive, truth: list[TruthFrame]
+) -> None:
+    script = write_script(CONFIG, 0, SIGNALS)
+    for frame in truth:
+        camera = drive.cameras[frame.camera]
+        ins_from_utm = invert_rigid(
+            script.utm_from_town @ script.motion.town_from_ins((frame.stamp_ns - script.start_ns) / 1e9)
+        )
+        corners = light_corners(
+            np.array([light.position for light in frame.lights]),
+            np.array([light.heading_deg for light in frame.lights]),
+            SIGNALS.sizes_m(light.type for light in frame.lights),
+        )
+        expected = project_corners(corners, camera, camera.cam_from_ins @ ins_from_utm)
+        # Truth files keep millimetres and hundredths of a pixel.
+        np.testing.assert_allclose([light.box_xyxy for light in frame.lights], expected, atol=0.05)
 
 
 def test_a_light_that_faces_us_has_the_opposite_heading(drive: Drive, truth: list[TruthFrame]) -> None:
