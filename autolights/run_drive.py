@@ -12,8 +12,9 @@ import numpy as np
 
 import autolights
 from autolights.core import Bundle, CameraFrame, Detections, LightEstimate, SignalSet
-from autolights.core.atomic import new_folder, refuse_existing, write_text
+from autolights.core.atomic import new_folder, refuse_existing
 from autolights.core.errors import DataError, UsageError
+from autolights.core.json_files import write_json
 from autolights.core.progress import say, track
 from autolights.data import Drive, FrameRecord
 from autolights.data.run_output import DETECTIONS, ESTIMATES, RUN
@@ -65,14 +66,14 @@ class RunSummary:
         variants: Times of each variant.
     """
 
-    drive: str
+    drive: Path
     skipped: dict[str, int]
     variants: dict[str, VariantTimes]
 
     def to_json(self) -> dict[str, Any]:
         """The summary as JSON-ready values."""
         return {
-            "drive": self.drive,
+            "drive": str(self.drive),
             "skipped_frames": sum(self.skipped.values()),
             "skipped_reasons": self.skipped,
             "variants": {name: times.to_json() for name, times in self.variants.items()},
@@ -144,11 +145,11 @@ def run_drive(
             raise DataError(f"{drive.folder}: none of {len(drive.frames)} frames could be used; {run.last_skip}")
         values = {
             "version": autolights.__version__,
-            "bundle": str(bundle.model_path.parent),
+            "bundle": str(bundle.model_path.parent.resolve()),
             "config": config.model_dump(mode="json"),
             **summary.to_json(),
         }
-        write_text(folder / RUN, json.dumps(values, indent=1) + "\n")
+        write_json(folder / RUN, values)
     if summary.skipped:
         reasons = ", ".join(f"{count} x {reason}" for reason, count in summary.skipped.items())
         say(f"warning: drive {drive.name}: frames left out: {reasons}; the last: {run.last_skip}")
@@ -212,7 +213,7 @@ class _Run:
         skipped = Counter(self._unreadable)
         skipped.update(next(iter(self._pipelines.values())).skipped)
         return RunSummary(
-            drive=str(self._drive.folder.resolve()),
+            drive=self._drive.folder.resolve(),
             skipped=dict(skipped),
             variants={
                 variant: VariantTimes(self._images[variant], tuple(self._detect_ms), tuple(track_ms))

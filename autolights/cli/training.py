@@ -114,6 +114,7 @@ def export(
     Example: autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
     """
     from autolights.core.atomic import refuse_existing
+    from autolights.core.json_files import read_json_object
     from autolights.infer import ImageSources
     from autolights.train import export_onnx, load_checkpoint
 
@@ -127,7 +128,7 @@ def export(
         size_wh=(int(width), int(height)),
         score_threshold=score_threshold,
         images=[source.image_bgr for source in ImageSources(image)] if image else (),
-        training=_read_json(metrics) if metrics else None,
+        training=read_json_object(metrics) if metrics else None,
     )
     typer.echo(f"{out}: {json.dumps(report.info.parity)}")
 
@@ -200,13 +201,3 @@ def bundle(
     made.save(out, force=force)
     Bundle.load(out)
     typer.echo(out)
-
-
-def _read_json(path: Path) -> dict[str, object]:
-    try:
-        values = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: not a readable JSON file ({error})") from error
-    if not isinstance(values, dict):
-        raise UsageError(f"{path}: must hold a JSON object, got {type(values).__name__}")
-    return values

@@ -1,19 +1,19 @@
 """The bundle: everything that travels from training to the car, in one verified folder."""
 
-import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 import autolights
-from autolights.core.atomic import new_folder, sha256, write_text
+from autolights.core.atomic import new_folder, sha256
 from autolights.core.config import Config, save_config
 from autolights.core.confusion import ConfusionMatrix
 from autolights.core.errors import AutolightsError, BundleError
 from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
+from autolights.core.json_files import read_json_object, validated, write_json
 from autolights.core.signals import SignalSet, load_signals
 
 FORMAT_VERSION = 1
@@ -115,7 +115,7 @@ class Bundle:
                 model=self.model,
                 sha256={name: sha256(folder / name) for name in (MODEL, SIGNALS, HMM, CONFUSION)},
             )
-            write_text(folder / MANIFEST, json.dumps(manifest.model_dump(mode="json"), indent=1) + "\n")
+            write_json(folder / MANIFEST, manifest.model_dump(mode="json"))
 
     @classmethod
     def load(cls, directory: Path) -> Self:
@@ -152,31 +152,17 @@ def load_model_info(model_path: Path) -> ModelInfo:
         BundleError: If it is missing or breaks the format.
     """
     path = model_path.with_suffix(".json")
-    try:
-        return ModelInfo.model_validate_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BundleError(f"{path}: cannot be read ({error.strerror}); `autolights export` writes it") from error
-    except ValidationError as error:
-        problem = error.errors()[0]
-        raise BundleError(f"{path}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from error
+    values = read_json_object(path, error=BundleError, hint="`autolights export` writes it")
+    return validated(ModelInfo, values, path, error=BundleError)
 
 
 def _read_manifest(path: Path) -> Manifest:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BundleError(f"{path}: cannot be read ({error.strerror}); is this a bundle?") from error
-    except ValueError as error:
-        raise BundleError(f"{path}: not JSON ({error})") from error
-    version = values.get("format_version") if isinstance(values, dict) else None
+    values = read_json_object(path, error=BundleError, hint="is this a bundle?")
+    version = values.get("format_version")
     if not isinstance(version, int):
         raise BundleError(f"{path}: no format_version; is this a bundle?")
     if version > FORMAT_VERSION:
         raise BundleError(
             f"{path}: format {version} is newer than {FORMAT_VERSION}; upgrade autolights or export again"
         )
-    try:
-        return Manifest.model_validate(values)
-    except ValidationError as error:
-        problem = error.errors()[0]
-        raise BundleError(f"{path}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from error
+    return validated(Manifest, values, path, error=BundleError)

@@ -1,6 +1,5 @@
 """The detector's confusion matrix, background included."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -8,8 +7,8 @@ from typing import Any, Self
 import numpy as np
 
 from autolights.core.arrays import IntArray
-from autolights.core.atomic import write_text
 from autolights.core.errors import DataError
+from autolights.core.json_files import read_json_object, write_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ class ConfusionMatrix:
 
     def save(self, path: Path) -> None:
         """Write the matrix as JSON."""
-        write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
+        write_json(path, self.to_json())
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -74,11 +73,8 @@ class ConfusionMatrix:
         Raises:
             DataError: If the file is missing, is no JSON or breaks the format; the text names the file.
         """
+        values = read_json_object(path)
         try:
-            return cls.from_json(json.loads(path.read_text()))
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-        except json.JSONDecodeError as error:
-            raise DataError(f"{path}: not JSON ({error})") from error
+            return cls.from_json(values)
         except DataError as error:
             raise DataError(f"{path}: {error}") from error

@@ -1,6 +1,5 @@
 """The hidden Markov model of one type of light: parameters, checks and files. The filter itself is in `track`."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -8,8 +7,8 @@ from typing import Any, Self
 import numpy as np
 
 from autolights.core.arrays import FloatArray, as_float_array
-from autolights.core.atomic import write_text
 from autolights.core.errors import DataError
+from autolights.core.json_files import read_json_object, write_json
 
 _ARRAYS = ("initial", "rates", "transition", "observation", "evidence", "miss_probs", "counts")
 
@@ -94,7 +93,7 @@ class HmmParameters:
 
 def save_hmm(path: Path, hmm: dict[str, HmmParameters]) -> None:
     """Write one HMM per type as JSON."""
-    write_text(path, json.dumps({name: parameters.to_json() for name, parameters in hmm.items()}, indent=1) + "\n")
+    write_json(path, {name: parameters.to_json() for name, parameters in hmm.items()})
 
 
 def load_hmm(path: Path) -> dict[str, HmmParameters]:
@@ -103,15 +102,9 @@ def load_hmm(path: Path) -> dict[str, HmmParameters]:
     Raises:
         DataError: If the file is missing, is no JSON, or a matrix is not stochastic; the text names file and type.
     """
+    values = read_json_object(path)
     try:
-        values = json.loads(path.read_text())
-        if not isinstance(values, dict):
-            raise DataError(f"must hold an object with one entry per type, got {type(values).__name__}")
         return {str(name): HmmParameters.from_json(entry) for name, entry in values.items()}
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}: not JSON ({error})") from error
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 

@@ -4,7 +4,6 @@ Headings are clockwise from the north of the UTM grid (not from true north: the 
 face of the light looks. Heights are taken as they are; the drive records their datum.
 """
 
-import json
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -12,8 +11,8 @@ import numpy as np
 import pyproj
 
 from autolights.core import FloatArray, SignalSet, TrafficLightMap
-from autolights.core.atomic import write_text
 from autolights.core.errors import MapError
+from autolights.core.json_files import read_json_object, write_json
 
 Hemisphere: TypeAlias = Literal["north", "south"]
 
@@ -91,7 +90,7 @@ def save_map(path: Path, lights: TrafficLightMap, utm_zone: int, hemisphere: Hem
         }
         for i in range(len(lights))
     ]
-    write_text(path, json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n")
+    write_json(path, {"type": "FeatureCollection", "features": features})
 
 
 def lon_lat_from_utm(east_north: FloatArray, utm_zone: int, hemisphere: Hemisphere) -> FloatArray:
@@ -109,13 +108,7 @@ def _utm_from_lon_lat(utm_zone: int, hemisphere: Hemisphere) -> pyproj.Transform
 
 
 def _read_features(path: Path) -> list[Any]:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise MapError(f"{path}: not JSON ({error})") from error
-    features = values.get("features") if isinstance(values, dict) else None
+    features = read_json_object(path, error=MapError).get("features")
     if not isinstance(features, list):
         raise MapError(f"{path}: must be a GeoJSON FeatureCollection with a list of 'features'")
     return features

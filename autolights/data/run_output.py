@@ -1,6 +1,5 @@
 """What a run over a drive leaves behind: ``estimates.jsonl``, ``detections.jsonl`` and ``run.json``."""
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from autolights.core import FloatArray, LightEstimate
 from autolights.core.arrays import as_float_array
 from autolights.core.errors import DataError
+from autolights.core.json_files import read_json_object
 from autolights.data.tables import read_json_lines
 
 ESTIMATES, DETECTIONS, RUN = "estimates.jsonl", "detections.jsonl", "run.json"
@@ -113,13 +113,7 @@ def load_run_info(run_dir: Path) -> dict[str, Any]:
         DataError: If the file is missing or is no JSON object with ``drive`` and ``variants``.
     """
     path = run_dir / RUN
-    try:
-        values: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror}); is this the folder of a finished run?") from error
-    except ValueError as error:
-        raise DataError(f"{path}: not JSON ({error})") from error
-    info: dict[str, Any] = values if isinstance(values, dict) else {}
+    info = read_json_object(path, hint="is this the folder of a finished run?")
     for name, kind in (("drive", str), ("variants", dict)):
         if not isinstance(info.get(name), kind):
             raise DataError(f"{path}: field '{name}' is missing; is this the folder of a finished run?")

@@ -1,12 +1,11 @@
 """The main job: every verb in its order, from nothing to a report."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from autolights.core import Bundle, ConfusionMatrix, load_config, load_hmm, load_signals, save_hmm
-from autolights.core.atomic import write_text
 from autolights.core.bundle import load_model_info
+from autolights.core.json_files import read_json_object, write_json
 from autolights.data import Drive, load_image_dataset
 from autolights.demo.config import DemoConfig
 from autolights.demo.stages import Stages
@@ -75,7 +74,7 @@ def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
     stages.run("val", [validation], input_settings, validate)
 
     def make_export() -> None:
-        metrics = json.loads((validation / "metrics.json").read_text())
+        metrics = read_json_object(validation / "metrics.json")
         dataset = load_image_dataset(images, "val")
         export_onnx(
             load_checkpoint(training / "best.pt"),
@@ -130,10 +129,7 @@ def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
 
     def report() -> None:
         evaluation = evaluate(runs, signals)
-        write_text(
-            summary_path,
-            json.dumps(summary(evaluation, validation / "metrics.json", stages.minutes), indent=1) + "\n",
-        )
+        write_json(summary_path, summary(evaluation, validation / "metrics.json", stages.minutes))
         write_report(
             report_path,
             train_dir=training,
@@ -146,5 +142,4 @@ def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
         )
 
     stages.run("report", [report_path, summary_path], None, report)
-    result: dict[str, Any] = json.loads(summary_path.read_text())
-    return result
+    return read_json_object(summary_path)

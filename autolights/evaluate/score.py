@@ -1,16 +1,13 @@
 """The figures of an evaluation: each variant of the pipeline over all drives (DESIGN: Scoring)."""
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import ValidationError
 
 from autolights.core import Config, SignalSet
-from autolights.core.atomic import write_text
-from autolights.core.errors import DataError
+from autolights.core.json_files import read_json_object, validated, write_json
 from autolights.evaluate.errors_by_cause import count_causes
 from autolights.evaluate.outcomes import (
     VARIANTS,
@@ -168,7 +165,7 @@ class Evaluation(Config):
 
     def save(self, path: Path) -> None:
         """Write the figures as JSON."""
-        write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
+        write_json(path, self.to_json())
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -177,13 +174,7 @@ class Evaluation(Config):
         Raises:
             DataError: If the file is missing or is no evaluation; the text names file and field.
         """
-        try:
-            return cls.model_validate_json(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise DataError(f"{path}: cannot be read ({error.strerror}); run `autolights evaluate` first") from error
-        except ValidationError as error:
-            problem = error.errors()[0]
-            raise DataError(f"{path}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from error
+        return validated(cls, read_json_object(path, hint="run `autolights evaluate` first"), path)
 
 
 def evaluate(runs: Iterable[tuple[Path, Path]], signals: SignalSet) -> Evaluation:

@@ -1,11 +1,11 @@
 """The report's figures for machines: ``summary.json``."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from autolights.core.errors import DataError
+from autolights.core.json_files import read_json_object
 from autolights.evaluate.outcomes import Variant
 from autolights.evaluate.score import Evaluation
 
@@ -62,14 +62,7 @@ def load_metrics(path: Path) -> dict[str, Any]:
     Raises:
         DataError: If the file is missing, no JSON object, or lacks one of the AP figures.
     """
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror}); run `autolights val` first") from error
-    except ValueError as error:
-        raise DataError(f"{path}: not JSON ({error})") from error
-    if not isinstance(values, dict):
-        raise DataError(f"{path}: must be an object, got {type(values).__name__}")
+    values = read_json_object(path, hint="run `autolights val` first")
     for name in AP_NAMES:
         if name not in values:
             raise DataError(f"{path}: field '{name}' is missing")

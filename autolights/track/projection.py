@@ -17,7 +17,7 @@ NameArray: TypeAlias = npt.NDArray[np.str_]
 ANY_TYPE = ""
 
 # Detectors do see beyond a camera's nominal range. A light out there may be seen, but is not expected.
-_RANGE_MARGIN = 1.5
+_RANGE_MARGIN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def project_lights(
 ) -> ProjectedLights:
     """Project the lights that a camera can have in view.
 
-    A light is left out if it is farther away than 1.5 times the camera's range, turns its face away, has a corner that
+    A light is left out if it is farther away than twice the camera's range, turns its face away, has a corner that
     does not project (behind the camera, outside the lens' valid angle), or if its whole box lies outside the image.
 
     Args:

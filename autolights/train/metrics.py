@@ -1,6 +1,5 @@
 """How good a detector is: COCO's average precision, as in the paper's Table II."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ import numpy as np
 from faster_coco_eval import COCO, COCOeval_faster
 
 from autolights.core import ConfusionMatrix, FloatArray, IntArray
-from autolights.core.atomic import write_text
 from autolights.core.boxes import area
+from autolights.core.json_files import write_json
 
 MAX_DETECTIONS = 100  # best per image and class that COCO counts
 _AREAS = ("all", "small", "medium")  # px² of the original image: any, below 32², 32² to 96²
@@ -91,7 +90,7 @@ class DetectionMetrics:
 
     def save(self, path: Path) -> None:
         """Write ``metrics.json``."""
-        write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
+        write_json(path, self.to_json())
 
 
 def average_precision(

@@ -75,7 +75,7 @@ def test_altered_file_is_named(hmm, tmp_path):
     ("text", "message"),
     [
         pytest.param("{", r"hmm\.json: not JSON", id="no-json"),
-        pytest.param("[]", r"hmm\.json: must hold an object with one entry per type, got list", id="list"),
+        pytest.param("[]", r"hmm\.json: must hold a JSON object, got list", id="list"),
         pytest.param('{"3": {}}', r"hmm\.json: HMM parameters: field 'initial' is missing", id="field"),
     ],
 )

@@ -84,6 +84,6 @@ def test_a_zone_that_does_not_exist(tmp_path: Path, signals: SignalSet, zone: in
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [_light()]}))
     with pytest.raises(MapError, match=f"1 to 60, got {zone}"):
         load_map(path, signals, zone, "north")
-    path.write_text("[1, 2]")
+    path.write_text('{"type": "Point"}')
     with pytest.raises(MapError, match=r"FeatureCollection"):
         load_map(path, signals, 17, "north")
