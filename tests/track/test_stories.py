@@ -189,6 +189,12 @@ def test_the_type_of_an_unknown_light_is_voted(make_scene: Callable) -> None:
     reports = make_scene({"a": ("3", AHEAD, script)}, off_map=frozenset({"a"})).drive(times(2.0))
     assert {(e.type, e.class_name) for estimates in reports for e in estimates} == {("3", "3-green")}
 
+    script = between(0.0, 0.15, "4-gleft", "3-green")
+    reports = make_scene({"a": ("3", (40.0, 2.0, 5.0), script)}, off_map=frozenset({"a"})).drive(times(2.0))
+    told = [(e.track_id, e.type, e.class_name) for estimates in reports for e in estimates]
+    assert told[0] == (1, "4", "4-gleft")
+    assert told[4:] == [(1, "3", "3-green")] * 15, "outvoted, and still the same track"
+
 
 def test_two_cameras_are_one_track_with_two_views(make_scene: Callable, config: PipelineConfig) -> None:
     scene = make_scene({"a": ("3", (35.0, 2.0, 5.0), always("3-red"))}, cameras=("narrow", "wide"), speed_mps=1)
@@ -204,11 +210,12 @@ def test_one_camera_that_sees_it_is_a_hit(make_scene: Callable, config: Pipeline
 
 
 def test_a_light_that_no_camera_covers_is_not_missed(make_scene: Callable) -> None:
-    # Every second set comes from a camera that does not reach the light.
-    scene = make_scene({"a": ("3", AHEAD, always("3-red"))}, cameras=("narrow", "wide"), speed_mps=0)
+    # After 0.3 s all sets come from a camera that does not reach the light: seventeen are more than N_death.
+    scene = make_scene({"a": ("3", (62.0, 2.0, 5.0), always("3-red"))}, cameras=("narrow", "wide"), speed_mps=0)
     pipeline = scene.pipeline(load_config("runtime/paper", PipelineConfig))
-    reports = [scene.step(pipeline, t, ["narrow" if i % 2 == 0 else "wide"]) for i, t in enumerate(times(2.0))]
-    assert said(reports, "a")[2:] == ["3-red"] * 18
+    reports = [scene.step(pipeline, t, ["narrow" if t < 0.25 else "wide"]) for t in times(2.5)]
+    assert said(reports, "a")[1:20] == ["3-red"] * 19
+    assert not any(reports[23:]), "out of sight for more than two seconds"
 
 
 def test_camera_order_does_not_matter(make_scene: Callable, config: PipelineConfig) -> None:
