@@ -3,7 +3,7 @@
 import numpy as np
 
 from autolights.core import CameraModel, FloatArray, Pose, back_project
-from autolights.core.transforms import invert_rigid, transform_points
+from autolights.core.transforms import invert_rigid, matrix_from_quaternion, transform_points
 
 
 def localize(box_xyxy: FloatArray, light_size_m: FloatArray, camera: CameraModel, pose: Pose) -> FloatArray:
@@ -70,8 +70,9 @@ def localization_information(
     Returns:
         (3, 3) 1/m², symmetric, positive definite.
     """
-    utm_from_cam = invert_rigid(camera.cam_from_ins @ invert_rigid(pose.utm_from_ins))
-    ray = position - utm_from_cam[:3, 3]
+    mount = camera.cam_from_ins
+    lens = pose.position - matrix_from_quaternion(pose.quaternion_xyzw) @ (mount[:3, :3].T @ mount[:3, 3])
+    ray = position - lens
     distance_m = float(np.linalg.norm(ray))
     direction = ray / distance_m
     focal_px = float(camera.intrinsics[1, 1])
