@@ -156,11 +156,12 @@ class LightPipeline:
         lights: TrafficLightMap,
         config: PipelineConfig | None = None,
         *,
+        poses: PoseBuffer | None = None,
         threads: int | None = None,
     ) -> Self:
         """The pipeline of a bundle, with its detector on ONNX Runtime."""
         detector = Detector.from_bundle(bundle, threads=threads)
-        return cls(detector, bundle.hmm, bundle.signals, cameras, lights, config)
+        return cls(detector, bundle.hmm, bundle.signals, cameras, lights, config, poses=poses)
 
     def update_pose(self, pose: Pose) -> None:
         """Take in where the vehicle is."""

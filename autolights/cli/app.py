@@ -1,8 +1,9 @@
 """The program: its verbs in the order of the work, and how errors end it."""
 
+import signal
 import sys
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -26,6 +27,8 @@ The way through, each step a verb:
 Results go to stdout (--json for machines), progress and messages to stderr.
 Exit code 0: done; 1: failed; 2: misused.
 """
+
+_TRAINING_STACK = ("albumentations", "faster_coco_eval", "matplotlib", "onnx", "tensorboard", "torch", "torchvision")
 
 app = typer.Typer(
     name="autolights",
@@ -72,19 +75,26 @@ for _verb, _function in _VERBS.items():
 
 def main() -> None:
     """Run the program; expected errors end it with one line on stderr and their exit code."""
+    signal.signal(signal.SIGTERM, _stop)
     try:
         app()
     except AutolightsError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+        _fail(str(error), error.exit_code)
     except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("autolights"):
+        if error.name not in _TRAINING_STACK:
             raise
-        print(
-            f"error: this verb needs the package '{error.name}'; install it with: pip install 'autolights[train]'",
-            file=sys.stderr,
-        )
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        sys.exit(130)
+        _fail(f"this verb needs the package '{error.name}'; install it with: pip install 'autolights[train]'", 2)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        _fail(f"{error.filename}: {error.strerror}", 1)
+
+
+def _fail(text: str, exit_code: int) -> NoReturn:
+    print(f"error: {text}", file=sys.stderr)
+    sys.exit(exit_code)
+
+
+def _stop(signal_number: int, _frame: object) -> NoReturn:
+    """End as an exception does, so that nothing half-written is left behind."""
+    sys.exit(128 + signal_number)

@@ -9,10 +9,10 @@ import typer
 from autolights.cli.options import Force, Json, Out, Overrides, Signals
 from autolights.core.errors import UsageError
 
-_Runs = Annotated[list[Path], typer.Argument(help="Folders made by `run`; each knows its drive.")]
+_Runs = Annotated[list[Path], typer.Argument(exists=True, help="Folders made by `run`; each knows its drive.")]
 _Drives = Annotated[
     list[Path] | None,
-    typer.Option("--drive", help="Drive of the run in the same place, if it has moved; one for each run."),
+    typer.Option("--drive", exists=True, help="Drive of the run in the same place, if it has moved; one for each run."),
 ]
 
 
@@ -42,9 +42,9 @@ def evaluate(
 
 def report(
     runs: _Runs,
-    train: Annotated[Path, typer.Option(help="Folder made by `train`.")],
-    val: Annotated[Path, typer.Option(help="Folder made by `val`.")],
-    bundle: Annotated[Path, typer.Option(help="Folder made by `bundle`.")],
+    train: Annotated[Path, typer.Option(exists=True, help="Folder made by `train`.")],
+    val: Annotated[Path, typer.Option(exists=True, help="Folder made by `val`.")],
+    bundle: Annotated[Path, typer.Option(exists=True, help="Folder made by `bundle`.")],
     drive: _Drives = None,
     title: Annotated[str, typer.Option(help="Heading of the page.")] = "autolights",
     out: Out = Path("runs/report.html"),
@@ -102,8 +102,11 @@ def _demo_text(summary: dict[str, Any], out: Path) -> str:
     names = {"od": "OD", "od_fusion": "OD + Fusion", "proposed": "OD + Fusion + Tracking"}
     for key, name in names.items():
         row = summary[key]
-        ape = "–" if row["ape_m"] is None else f"{row['ape_m']:.2f}"
-        rows.append(f"{name:24}{row['fps']:8.1f}{ape:>10}{row['class_accuracy']:20.1f}")
+        ape, accuracy = (
+            "–" if row[figure] is None else f"{row[figure]:.{digits}f}"
+            for figure, digits in (("ape_m", 2), ("class_accuracy", 1))
+        )
+        rows.append(f"{name:24}{row['fps']:8.1f}{ape:>10}{accuracy:>20}")
     rows.append(f"{sum(summary['minutes'].values()):.1f} minutes; open {out / 'report.html'}")
     return "\n".join(rows)
 

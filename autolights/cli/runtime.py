@@ -10,12 +10,17 @@ from autolights.cli.options import Force, Json, Out, Overrides, Threads
 
 
 def run(
-    bundle: Annotated[Path, typer.Argument(help="Folder made by `bundle`.")],
-    drive: Annotated[Path, typer.Argument(help="Folder with drive.yaml, frames.csv, poses.csv, map.geojson, ...")],
+    bundle: Annotated[Path, typer.Argument(exists=True, help="Folder made by `bundle`.")],
+    drive: Annotated[
+        Path, typer.Argument(exists=True, help="Folder with drive.yaml, frames.csv, poses.csv, map.geojson, ...")
+    ],
     overrides: Overrides = None,
     config: Annotated[str, typer.Option(help="Runtime settings: YAML file or shipped name.")] = "runtime/default",
     variant: Annotated[
-        list[str] | None, typer.Option(help="od, fusion or full; may be repeated. Detections are computed once.")
+        list[str] | None,
+        typer.Option(
+            help="od, fusion or full, instead of the configuration's; repeatable: detections are computed once."
+        ),
     ] = None,
     out: Out = Path("runs/estimates"),
     threads: Threads = 0,
@@ -36,12 +41,13 @@ def run(
     from autolights.run_drive import run_drive
 
     loaded = Bundle.load(bundle)
+    settings = load_config(config, PipelineConfig, overrides or ())
     summary = run_drive(
         loaded,
         Drive.load(drive, loaded.signals),
-        load_config(config, PipelineConfig, overrides or ()),
+        settings,
         out,
-        variants=tuple(variant or ("full",)),
+        variants=tuple(variant or (settings.variant,)),
         explain=explain,
         force=force,
         threads=threads or None,
@@ -53,7 +59,7 @@ def run(
 
 
 def detect(
-    bundle: Annotated[Path, typer.Argument(help="Folder made by `bundle`.")],
+    bundle: Annotated[Path, typer.Argument(exists=True, help="Folder made by `bundle`.")],
     inputs: Annotated[list[str], typer.Argument(help="Images, folders, globs or videos.")],
     out: Out = Path("runs/detect"),
     score_threshold: Annotated[

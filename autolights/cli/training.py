@@ -2,12 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from autolights.cli.options import Force, Json, Out, Overrides, Signals
-from autolights.core.errors import UsageError
+from autolights.core.errors import ConfigError, UsageError
 
 
 def train(
@@ -35,8 +35,10 @@ def train(
 
 
 def val(
-    checkpoint: Annotated[Path, typer.Argument(help="best.pt of a training run, or a public YOLOv5 checkpoint.")],
-    data: Annotated[Path, typer.Argument(help="YOLO-format folder.")],
+    checkpoint: Annotated[
+        Path, typer.Argument(exists=True, help="best.pt of a training run, or a public YOLOv5 checkpoint.")
+    ],
+    data: Annotated[Path, typer.Argument(exists=True, help="YOLO-format folder.")],
     split: Annotated[str, typer.Option(help="Part of the data: train or val.")] = "val",
     long_side: Annotated[int, typer.Option(min=32, help="Long side of the network's input, pixels.")] = 960,
     score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the confusion matrix.")] = 0.25,
@@ -96,11 +98,13 @@ def val(
 
 
 def export(
-    checkpoint: Annotated[Path, typer.Argument(help="best.pt of a training run.")],
+    checkpoint: Annotated[Path, typer.Argument(exists=True, help="best.pt of a training run.")],
     out: Out = Path("runs/export/model.onnx"),
     size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
     score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the runtime.")] = 0.25,
-    metrics: Annotated[Path | None, typer.Option(help="metrics.json of `val`, kept in the manifest.")] = None,
+    metrics: Annotated[
+        Path | None, typer.Option(exists=True, help="metrics.json of `val`, kept in the manifest.")
+    ] = None,
     image: Annotated[
         list[str] | None, typer.Option(help="Images to compare on, beside random ones; repeatable.")
     ] = None,
@@ -118,7 +122,8 @@ def export(
     from autolights.infer import ImageSources
     from autolights.train import export_onnx, load_checkpoint
 
-    refuse_existing(out, force=force)
+    for path in (out, out.with_suffix(".json")):
+        refuse_existing(path, force=force)
     width, cross, height = size.partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise UsageError(f"--size must read WIDTHxHEIGHT, e.g. 960x608, got {size!r}")
@@ -134,7 +139,7 @@ def export(
 
 
 def fit_hmm(
-    confusion: Annotated[Path, typer.Argument(help="confusion.json of `val`.")],
+    confusion: Annotated[Path, typer.Argument(exists=True, help="confusion.json of `val`.")],
     signals: Signals = "signals/autolights_13",
     out: Out = Path("runs/export/hmm.json"),
     pseudocount: Annotated[float, typer.Option(min=0, help="Added to each cell, in counts.")] = 1.0,
@@ -142,7 +147,7 @@ def fit_hmm(
         str, typer.Option(help="Over states: uniform, or empirical (the data's class balance).")
     ] = "uniform",
     frame_rate: Annotated[float, typer.Option(min=0.1, help="Nominal sets of frames per second.")] = 10.0,
-    overrides: Annotated[Path | None, typer.Option(help="YAML with hand-tuned matrices by type.")] = None,
+    overrides: Annotated[Path | None, typer.Option(exists=True, help="YAML with hand-tuned matrices by type.")] = None,
     force: Force = False,
 ) -> None:
     """Fit one HMM per type of light: rates from the signal description, observations from the confusion matrix.
@@ -152,7 +157,6 @@ def fit_hmm(
     """
     from autolights.core import ConfusionMatrix, load_signals, save_hmm
     from autolights.core.atomic import refuse_existing
-    from autolights.core.config import read_yaml
     from autolights.train import fit_hmm as fit
 
     refuse_existing(out, force=force)
@@ -164,16 +168,18 @@ def fit_hmm(
         nominal_dt_s=1 / frame_rate,
         pseudocount=pseudocount,
         prior="uniform" if prior == "uniform" else "empirical",
-        overrides=read_yaml(overrides) if overrides else None,
+        overrides=_read_overrides(overrides) if overrides else None,
     )
     save_hmm(out, hmm)
     typer.echo(out)
 
 
 def bundle(
-    model: Annotated[Path, typer.Option(help="model.onnx of `export`; its description (.json) lies beside it.")],
-    hmm: Annotated[Path, typer.Option(help="hmm.json of `fit-hmm`.")],
-    confusion: Annotated[Path, typer.Option(help="confusion.json of `val`.")],
+    model: Annotated[
+        Path, typer.Option(exists=True, help="model.onnx of `export`; its description (.json) lies beside it.")
+    ],
+    hmm: Annotated[Path, typer.Option(exists=True, help="hmm.json of `fit-hmm`.")],
+    confusion: Annotated[Path, typer.Option(exists=True, help="confusion.json of `val`.")],
     signals: Signals = "signals/autolights_13",
     out: Out = Path("runs/bundle"),
     force: Force = False,
@@ -201,3 +207,12 @@ def bundle(
     made.save(out, force=force)
     Bundle.load(out)
     typer.echo(out)
+
+
+def _read_overrides(path: Path) -> dict[str, Any]:
+    from autolights.core.config import read_yaml
+
+    values = read_yaml(path)
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: must hold fields by type of light, got {type(values).__name__}")
+    return values

@@ -88,6 +88,11 @@ class Bundle:
                     f"the {what} knows the classes {list(classes)}, "
                     f"the signal description '{self.signals.name}' {list(self.signals.classes)}"
                 )
+        if self.model.score_threshold != self.confusion.score_threshold:
+            raise BundleError(
+                f"the confusion matrix was counted from score {self.confusion.score_threshold}, the model runs from "
+                f"{self.model.score_threshold}; give `val` and `export` the same score threshold"
+            )
         missing = [name for name in self.signals.types if name not in self.hmm]
         if missing:
             raise BundleError(f"{HMM} has no model for type '{missing[0]}'; run `autolights fit-hmm` again")

@@ -194,7 +194,7 @@ def _image_folder(folder: Path, split: Split, description: dict[str, object]) ->
 
 
 def _split_by_group(paths: Sequence[Path], split: Split, val_fraction: float, group_pattern: str | None) -> list[Path]:
-    pattern = re.compile(group_pattern) if group_pattern else None
+    pattern = _compiled(group_pattern) if group_pattern else None
 
     def held_out(path: Path) -> bool:
         match = pattern.search(path.name) if pattern else None
@@ -203,6 +203,18 @@ def _split_by_group(paths: Sequence[Path], split: Split, val_fraction: float, gr
         return int.from_bytes(digest[:8], "big") < val_fraction * 2**64
 
     return [path for path in paths if held_out(path) == (split == "val")]
+
+
+def _compiled(group_pattern: str) -> re.Pattern[str]:
+    try:
+        pattern = re.compile(group_pattern)
+    except re.error as error:
+        raise UsageError(f"group_pattern {group_pattern!r} is no regular expression: {error}") from error
+    if not pattern.groups:
+        raise UsageError(
+            f"group_pattern {group_pattern!r} must have a group in parentheses that names the source photo"
+        )
+    return pattern
 
 
 def _with_labels(

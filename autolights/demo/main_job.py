@@ -4,16 +4,18 @@ from pathlib import Path
 from typing import Any
 
 from autolights.core import Bundle, ConfusionMatrix, load_config, load_hmm, load_signals, save_hmm
+from autolights.core.atomic import refuse_existing, sha256
 from autolights.core.bundle import load_model_info
 from autolights.core.json_files import read_json_object, write_json
 from autolights.data import Drive, load_image_dataset
 from autolights.demo.config import DemoConfig
 from autolights.demo.stages import Stages
-from autolights.evaluate import evaluate, summary, write_report
+from autolights.evaluate import Evaluation, evaluate, summary, write_report
 from autolights.pipeline import PipelineConfig
 from autolights.run_drive import run_drive
 from autolights.sim import DrivesConfig, ImagesConfig, simulate_drives, simulate_images
 from autolights.train import TrainConfig, evaluate_detector, export_onnx, fit_hmm, load_checkpoint, train
+from autolights.train.weights import weights_path
 
 _PARITY_IMAGES = 4  # real images on which the export is compared with the network, beside random ones
 
@@ -29,117 +31,126 @@ def run_demo(config: DemoConfig, out_dir: Path) -> dict[str, Any]:
         The summary, as in ``summary.json``.
 
     Raises:
+        UsageError: If `out_dir` holds something that is no demo.
         AutolightsError: As the stages do; a later call goes on with the stage that failed.
     """
-    signals = load_signals(config.signals)
-    images_config = load_config(config.images.config, ImagesConfig, config.images.overrides)
-    drives_config = load_config(config.drives.config, DrivesConfig, config.drives.overrides)
-    images, drives, training = out_dir / "images", out_dir / "drives", out_dir / "train"
-    train_config = load_config(config.train.config, TrainConfig, [*config.train.overrides, f"data={images}"])
-    runtime_config = load_config(config.runtime.config, PipelineConfig, config.runtime.overrides)
-    validation, export, bundle_dir, estimates = (out_dir / name for name in ("val", "export", "bundle", "estimates"))
-    model_path, hmm_path = export / "model.onnx", export / "hmm.json"
     stages = Stages(out_dir)
+    if not stages.known:
+        refuse_existing(out_dir, force=False)
+    return _MainJob(config, out_dir).run(stages)
 
-    stages.run(
-        "images",
-        [images],
-        images_config.model_dump(mode="json"),
-        lambda: simulate_images(images_config, images, force=True),
-    )
-    stages.run(
-        "drives",
-        [drives],
-        drives_config.model_dump(mode="json"),
-        lambda: simulate_drives(drives_config, drives, force=True),
-    )
-    stages.run(
-        "train",
-        [training],
-        train_config.model_dump(mode="json"),
-        lambda: train(train_config, training, force=True),
-    )
 
-    def validate() -> None:
+class _MainJob:
+    """Where everything lies, and a method for each stage."""
+
+    def __init__(self, config: DemoConfig, out_dir: Path) -> None:
+        self.config = config
+        self.signals = load_signals(config.signals)
+        self.images, self.drives, self.training = out_dir / "images", out_dir / "drives", out_dir / "train"
+        self.metrics, self.confusion = out_dir / "val" / "metrics.json", out_dir / "val" / "confusion.json"
+        self.model, self.hmm = out_dir / "export" / "model.onnx", out_dir / "export" / "hmm.json"
+        self.bundle, self.estimates = out_dir / "bundle", out_dir / "estimates"
+        self.evaluation = out_dir / "evaluation.json"
+        self.report, self.summary = out_dir / "report.html", out_dir / "summary.json"
+        self.images_config = load_config(config.images.config, ImagesConfig, config.images.overrides)
+        self.drives_config = load_config(config.drives.config, DrivesConfig, config.drives.overrides)
+        train_overrides = [*config.train.overrides, f"data={self.images}"]
+        self.train_config = load_config(config.train.config, TrainConfig, train_overrides)
+        self.runtime_config = load_config(config.runtime.config, PipelineConfig, config.runtime.overrides)
+
+    def run(self, stages: Stages) -> dict[str, Any]:
+        """All stages; each depends on its settings and on all stages before it."""
+        config, weights = self.config, self.train_config.weights
+        initial = sha256(weights_path(weights)) if weights else ""
+        input_settings = [config.input_size_wh, config.score_threshold]
+        hmm_settings = [config.pseudocount, config.frame_rate_hz, self.signals.model_dump(mode="json")]
+        run_settings = [config.threads, self.runtime_config.model_dump(mode="json")]
+        stages.run("images", [self.images], self.images_config.model_dump(mode="json"), self._simulate_images)
+        stages.run("drives", [self.drives], self.drives_config.model_dump(mode="json"), self._simulate_drives)
+        stages.run("train", [self.training], [initial, self.train_config.model_dump(mode="json")], self._train)
+        stages.run("val", [self.metrics, self.confusion], input_settings, self._validate)
+        stages.run("export", [self.model, self.model.with_suffix(".json")], input_settings, self._export)
+        stages.run("fit-hmm", [self.hmm], hmm_settings, self._fit_hmm)
+        stages.run("bundle", [self.bundle], None, self._bundle)
+        stages.run("run", [self.estimates], run_settings, self._run_drives)
+        stages.run(
+            "evaluate", [self.evaluation], None, lambda: evaluate(self._runs(), self.signals).save(self.evaluation)
+        )
+        stages.run("report", [self.report], None, lambda: self._report(stages.minutes))
+        stages.run("summary", [self.summary], None, lambda: self._summarise(stages.minutes))
+        return read_json_object(self.summary)
+
+    def _simulate_images(self) -> None:
+        simulate_images(self.images_config, self.images, force=True)
+
+    def _simulate_drives(self) -> None:
+        simulate_drives(self.drives_config, self.drives, force=True)
+
+    def _train(self) -> None:
+        train(self.train_config, self.training, force=True)
+
+    def _validate(self) -> None:
         metrics = evaluate_detector(
-            load_checkpoint(training / "best.pt"),
-            load_image_dataset(images, "val"),
-            long_side=max(config.input_size_wh),
-            score_threshold=config.score_threshold,
+            load_checkpoint(self.training / "best.pt"),
+            load_image_dataset(self.images, "val"),
+            long_side=max(self.config.input_size_wh),
+            score_threshold=self.config.score_threshold,
         )
-        metrics.save(validation / "metrics.json")
-        metrics.confusion.save(validation / "confusion.json")
+        metrics.save(self.metrics)
+        metrics.confusion.save(self.confusion)
 
-    input_settings = [config.input_size_wh, config.score_threshold]
-    stages.run("val", [validation], input_settings, validate)
-
-    def make_export() -> None:
-        metrics = read_json_object(validation / "metrics.json")
-        dataset = load_image_dataset(images, "val")
+    def _export(self) -> None:
+        dataset = load_image_dataset(self.images, "val")
         export_onnx(
-            load_checkpoint(training / "best.pt"),
-            model_path,
-            size_wh=config.input_size_wh,
-            score_threshold=config.score_threshold,
+            load_checkpoint(self.training / "best.pt"),
+            self.model,
+            size_wh=self.config.input_size_wh,
+            score_threshold=self.config.score_threshold,
             images=[dataset.read(i) for i in range(min(_PARITY_IMAGES, len(dataset)))],
-            training={name: metrics[name] for name in ("ap", "ap50", "ap75", "ap_s", "ap_m", "images", "labels")},
+            training=read_json_object(self.metrics),
         )
 
-    stages.run("export", [model_path, model_path.with_suffix(".json")], input_settings, make_export)
-    stages.run(
-        "fit-hmm",
-        [hmm_path],
-        [config.pseudocount, config.frame_rate_hz, signals.model_dump(mode="json")],
-        lambda: save_hmm(
-            hmm_path,
-            fit_hmm(
-                ConfusionMatrix.load(validation / "confusion.json"),
-                signals,
-                nominal_dt_s=1 / config.frame_rate_hz,
-                pseudocount=config.pseudocount,
-            ),
-        ),
-    )
-    stages.run(
-        "bundle",
-        [bundle_dir],
-        None,
-        lambda: Bundle(
-            model=load_model_info(model_path),
-            model_path=model_path,
-            signals=signals,
-            hmm=load_hmm(hmm_path),
-            confusion=ConfusionMatrix.load(validation / "confusion.json"),
-        ).save(bundle_dir, force=True),
-    )
+    def _fit_hmm(self) -> None:
+        hmm = fit_hmm(
+            ConfusionMatrix.load(self.confusion),
+            self.signals,
+            nominal_dt_s=1 / self.config.frame_rate_hz,
+            pseudocount=self.config.pseudocount,
+        )
+        save_hmm(self.hmm, hmm)
 
-    drive_dirs = sorted(path.parent for path in drives.glob("*/drive.yaml"))
-    runs = [(estimates / drive_dir.name, drive_dir) for drive_dir in drive_dirs]
+    def _bundle(self) -> None:
+        bundle = Bundle(
+            model=load_model_info(self.model),
+            model_path=self.model,
+            signals=self.signals,
+            hmm=load_hmm(self.hmm),
+            confusion=ConfusionMatrix.load(self.confusion),
+        )
+        bundle.save(self.bundle, force=True)
 
-    def run_all() -> None:
-        bundle = Bundle.load(bundle_dir)
-        for run_dir, drive_dir in runs:
+    def _runs(self) -> list[tuple[Path, Path]]:
+        """(results, drive) of each drive."""
+        drives = sorted(path.parent for path in self.drives.glob("*/drive.yaml"))
+        return [(self.estimates / drive.name, drive) for drive in drives]
+
+    def _run_drives(self) -> None:
+        bundle = Bundle.load(self.bundle)
+        for run_dir, drive_dir in self._runs():
             drive = Drive.load(drive_dir, bundle.signals)
-            run_drive(bundle, drive, runtime_config, run_dir, threads=config.threads or None, force=True)
+            run_drive(bundle, drive, self.runtime_config, run_dir, threads=self.config.threads or None, force=True)
 
-    stages.run("run", [run_dir for run_dir, _ in runs], runtime_config.model_dump(mode="json"), run_all)
-    evaluation_path = out_dir / "evaluation.json"
-    stages.run("evaluate", [evaluation_path], None, lambda: evaluate(runs, signals).save(evaluation_path))
-    report_path, summary_path = out_dir / "report.html", out_dir / "summary.json"
-
-    def report() -> None:
-        evaluation = evaluate(runs, signals)
-        write_json(summary_path, summary(evaluation, validation / "metrics.json", stages.minutes))
+    def _report(self, minutes: dict[str, float]) -> None:
         write_report(
-            report_path,
-            train_dir=training,
-            metrics_path=validation / "metrics.json",
-            bundle=Bundle.load(bundle_dir),
-            runs=runs,
-            evaluation=evaluation,
-            minutes=stages.minutes,
+            self.report,
+            train_dir=self.training,
+            metrics_path=self.metrics,
+            bundle=Bundle.load(self.bundle),
+            runs=self._runs(),
+            evaluation=Evaluation.load(self.evaluation),
+            minutes=minutes,
             title="autolights demo",
         )
 
-    stages.run("report", [report_path, summary_path], None, report)
-    return read_json_object(summary_path)
+    def _summarise(self, minutes: dict[str, float]) -> None:
+        write_json(self.summary, summary(Evaluation.load(self.evaluation), self.metrics, minutes))

@@ -34,8 +34,13 @@ class Stages:
     """
 
     def __init__(self, root: Path) -> None:
-        self.root = root
+        self._records = root / ".stages"
         self.results: dict[str, StageResult] = {}
+
+    @property
+    def known(self) -> bool:
+        """Whether a stage of such a job has run in this folder."""
+        return self._records.is_dir()
 
     @property
     def minutes(self) -> dict[str, float]:
@@ -52,13 +57,14 @@ class Stages:
             work: Makes the outputs, replacing what is there.
         """
         key = self._key(name, settings)
-        record_path = self.root / ".stages" / f"{name}.json"
+        record_path = self._records / f"{name}.json"
         known = self._unchanged(record_path, key, outputs)
         if known is not None:
             say(f"[{name}] up to date ({known.minutes:.1f} min when it ran)")
             self.results[name] = known
             return
         say(f"[{name}] …")
+        self._records.mkdir(parents=True, exist_ok=True)
         record_path.unlink(missing_ok=True)
         start = time.monotonic()
         work()

@@ -125,7 +125,11 @@ def train(config: TrainConfig, out_dir: Path, *, force: bool = False) -> TrainRe
                 log.epoch(row)
                 say(_summary(row, config.epochs))
         except (KeyboardInterrupt, TrainingError):
-            kept = f"{out_dir / LAST} holds epoch {epoch - 1}" if epoch > 1 else "no epoch was finished"
+            if epoch > 1:
+                kept = f"{out_dir / LAST} holds epoch {epoch - 1}"
+            else:
+                _clear(out_dir)
+                kept = "no epoch was finished, nothing is kept"
             say(f"stopped in epoch {epoch} of {config.epochs}; {kept}")
             raise
     assert best is not None  # the last epoch is always validated

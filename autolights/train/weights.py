@@ -97,6 +97,11 @@ def load_checkpoint(path: Path, *, classes: Sequence[str] | None = None) -> Yolo
     return model.eval()
 
 
+def weights_path(weights: str) -> Path:
+    """The file behind the setting `weights`: ``base`` is the shipped base checkpoint."""
+    return BASE_PATH if weights == BASE else Path(weights)
+
+
 def start_from(model: YoloV5, weights: str) -> TransferReport:
     """Give a network its initial weights and note them on it.
 
@@ -108,7 +113,7 @@ def start_from(model: YoloV5, weights: str) -> TransferReport:
         UsageError: If there is no such file.
         CheckpointError: If it cannot be read or is of another size.
     """
-    path = BASE_PATH if weights == BASE else Path(weights)
+    path = weights_path(weights)
     checkpoint = read_checkpoint(path)
     if checkpoint.size != model.size:
         raise CheckpointError(

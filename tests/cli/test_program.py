@@ -1,6 +1,8 @@
 """Help, version, and misuse: what a user reads before anything works."""
 
 import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,6 +35,17 @@ def test_version(program: Program) -> None:
     ("arguments", "text"),
     [
         pytest.param(["fly"], "No such command", id="unknown-verb"),
+        pytest.param(
+            ["val", "{here}", "{here}", "--classes", "a", "--val-fraction", "0.5", "--group-pattern", "["],
+            "no regular expression",
+            id="bad-pattern",
+        ),
+        pytest.param(
+            ["val", "{here}", "{here}", "--classes", "a", "--val-fraction", "0.5", "--group-pattern", "a"],
+            "must have a group",
+            id="no-group",
+        ),
+        pytest.param(["fit-hmm", "{here}", "--overrides", "{here}"], "cannot be read", id="overrides-a-folder"),
         pytest.param(["train", "train/nothing"], "shipped: ", id="unknown-config-lists-the-shipped"),
         pytest.param(["train", "train/demo", "epoch=3"], "did you mean 'epochs'?", id="typo-in-override"),
         pytest.param(["train", "train/demo", "data=nowhere"], "nowhere", id="missing-data"),
@@ -43,18 +56,43 @@ def test_version(program: Program) -> None:
     ],
 )
 def test_misuse_ends_with_a_clear_error(program: Program, tmp_path: Path, arguments: list[str], text: str) -> None:
+    photos = tmp_path / "photos"
+    (photos / "train" / "images").mkdir(parents=True)
+    (photos / "train" / "images" / "a.jpg").touch()
     out = [] if arguments == ["fly"] else ["--out", str(tmp_path / "out")]
-    result = program(*arguments, *out)
-    assert result.returncode in (1, 2)
-    assert text in result.stderr
+    result = program(*[argument.format(here=photos) for argument in arguments], *out)
+    assert result.returncode == 2
+    assert text in " ".join(result.stderr.split())
     assert "Traceback" not in result.stderr
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
 def test_an_existing_output_is_kept(program: Program, tmp_path: Path) -> None:
     out = tmp_path / "hmm.json"
     out.write_text("precious")
-    result = program("fit-hmm", tmp_path / "confusion.json", "--out", out)
+    result = program("fit-hmm", out, "--out", out)
     assert result.returncode == 2
     assert "--force" in result.stderr
     assert out.read_text() == "precious"
+
+
+def test_the_demo_refuses_a_folder_of_somebody_else(program: Program, tmp_path: Path) -> None:
+    mine = tmp_path / "demo" / "images" / "mine.jpg"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("precious")
+    result = program("demo", "--out", tmp_path / "demo")
+    assert result.returncode == 2
+    assert "exists already" in result.stderr
+    assert mine.read_text() == "precious"
+
+
+def test_a_terminated_program_leaves_nothing_half_written(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "autolights", "simulate", "images", "--out", str(tmp_path / "images")]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.glob(".images*.tmp/images/train/*")) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert list(tmp_path.iterdir()), "it never began"
+        process.terminate()
+        assert process.wait(timeout=60) == 143
+    assert not list(tmp_path.iterdir())
