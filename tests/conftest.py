@@ -162,7 +162,7 @@ def signals() -> SignalSet:
 @pytest.fixture
 def make_scene(signals: SignalSet) -> Callable[..., Scene]:
     def make(lights: dict[str, tuple[str, tuple[float, float, float], Script]], **settings: object) -> Scene:
-        return Scene(signals, lights, **settings)  # type: ignore[arg-type]
+        return Scene(**{"signals": signals, "lights": lights, **settings})  # type: ignore[arg-type]
 
     return make
 

@@ -61,6 +61,7 @@ class FlashingPair(Config):
         on: The lit state.
         off: The dark state.
         reported: What the pair is called when it flashes.
+        steady_on: Whether the on state is legal when steady too: only a dark phase then tells a flash.
         period_s: Shortest and longest legal cycle (50 to 60 a minute: 1.0 to 1.2 s).
         on_ratio: Smallest and largest legal share of the cycle in which it is lit.
     """
@@ -68,6 +69,7 @@ class FlashingPair(Config):
     on: str
     off: str
     reported: str
+    steady_on: bool = False
     period_s: tuple[float, float] = (1.0, 1.2)
     on_ratio: tuple[float, float] = (1 / 2, 2 / 3)
 

@@ -65,6 +65,9 @@ class TypeStates:
         has the last word: it can prove a flash that the hidden states take for something else, and it can prove that a
         light is steady. A light that stays dark is then reported as off, and not as flashing.
 
+        A pair whose on state may also stay lit (`FlashingPair.steady_on`) takes a dark phase to tell: that is believed
+        now, or was seen in two sets of frames within the longest legal period. One misread frame is none.
+
         Args:
             belief: (k,).
             sightings: Unfiltered, in the order of time.
@@ -76,7 +79,8 @@ class TypeStates:
             if likely != pair.reported and latest not in self._phases(pair):
                 continue
             verdict = self._verdict(sightings, pair)
-            if verdict == "flashing" or (verdict == "unknown" and likely == pair.reported):
+            believed = likely == pair.reported and (not pair.steady_on or self._was_dark(belief, sightings, pair))
+            if verdict == "flashing" or (verdict == "unknown" and believed):
                 return ReportedState(pair.reported, float(summed[self.names.index(pair.reported)]), True)
         best = int(np.argmax(belief))
         return ReportedState(self.params.states[best], float(belief[best]), False)
@@ -86,12 +90,23 @@ class TypeStates:
         states = self.params.states
         return int(self.class_ids[states.index(pair.on)]), int(self.class_ids[states.index(pair.off)])
 
+    def _was_dark(self, belief: FloatArray, sightings: Sequence[Sighting], pair: FlashingPair) -> bool:
+        if self.params.states[int(np.argmax(belief))] == pair.off:
+            return True
+        votes = self._votes(sightings, pair)
+        since_ns = max(votes, default=0) - pair.period_s[1] * 1e9
+        return sum(set_ns >= since_ns and vote <= 0 for set_ns, vote in votes.items()) >= 2
+
     def _verdict(self, sightings: Sequence[Sighting], pair: FlashingPair) -> FlashVerdict:
-        """Cameras that saw the light in one set vote by the height of their boxes."""
+        votes = self._votes(sightings, pair)
+        stamps_s = [set_ns / 1e9 for set_ns in votes]
+        return flash_verdict(stamps_s, [vote > 0 for vote in votes.values()], pair)
+
+    def _votes(self, sightings: Sequence[Sighting], pair: FlashingPair) -> dict[int, float]:
+        """Stamp of a set → positive if the pair was lit: cameras vote by the height of their boxes."""
         on, off = self._phases(pair)
         votes: dict[int, float] = {}
         for set_ns, class_id, height_px in sightings:
             if class_id in (on, off):
                 votes[set_ns] = votes.get(set_ns, 0.0) + (height_px if class_id == on else -height_px)
-        stamps_s = [set_ns / 1e9 for set_ns in votes]
-        return flash_verdict(stamps_s, [vote > 0 for vote in votes.values()], pair)
+        return votes
