@@ -27,14 +27,14 @@ class Lamp(Config):
         color: What it is made to look like.
         shape: A ball or an arrow.
         center: Across and down, as fractions of the housing's width and height seen from its front.
-        movement: Whom it speaks to.
-        meaning: What it says to them.
+        movements: Whom it speaks to, e.g. ``through`` and ``left``; a ball may speak to several.
+        meaning: What it says to all of them.
     """
 
     color: Color
     shape: Shape
     center: tuple[float, float]
-    movement: str
+    movements: tuple[str, ...] = Field(min_length=1)
     meaning: Meaning
 
 
@@ -183,7 +183,8 @@ class SignalSet(Config):
         lamps = self.types[self.type_of[class_name]].lamps
         said: dict[str, Meaning] = {}
         for lamp in (lamps[name] for name in self.state(class_name).lit):
-            said[lamp.movement] = max(said.get(lamp.movement, "stop"), lamp.meaning, key=order.index)
+            for movement in lamp.movements:
+                said[movement] = max(said.get(movement, "stop"), lamp.meaning, key=order.index)
         return said
 
     def rates(self, type_name: str) -> FloatArray:

@@ -40,7 +40,11 @@ def test_a_flash_is_reported_under_one_name():
     [
         ("3-yellow", {"through": "caution"}),
         ("4-off", {}),
+        ("5dh-red", {"through": "stop", "left": "stop"}),
         ("5dh-red-gleft", {"through": "stop", "left": "go"}),
+        ("5dh-red-yleft", {"through": "stop", "left": "caution"}),
+        ("5dh-yellow", {"through": "caution", "left": "caution"}),
+        ("5dh-green", {"through": "go"}),
     ],
 )
 def test_what_a_state_says(class_name, meanings):
@@ -85,6 +89,7 @@ def test_sizes():
         pytest.param("3.states.3-red.mirror", "3-blue", "'3-red' of '3': unknown mirror class '3-blue'", id="mirror"),
         pytest.param("3.states.3-red.mean_s", 0, "greater than 0", id="duration"),
         pytest.param("4.flashing", [FOREIGN_PAIR], "flashing pair of type '4' names the unknown class", id="pair"),
+        pytest.param("3.lamps.red.movements", [], "at least 1 item", id="a-lamp-that-speaks-to-nobody"),
         pytest.param("3.hieght_m", 1, r"unknown key 'hieght_m' in types.3; did you mean 'height_m'", id="typo"),
     ],
 )

@@ -76,6 +76,8 @@ class Rows:
         ("off", "4-off"),
         ("gl", "4-gleft"),
         ("yl", "4-yleft1"),
+        ("dR", "5dh-red"),
+        ("dgl", "5dh-red-gleft"),
     )
 
     def __call__(

@@ -73,6 +73,8 @@ def test_flicker(rows, words: str, expected: int) -> None:
         pytest.param("R?:G R?:G R?:G R?:G R?:G", 0, 0, id="hidden-all-along"),
         pytest.param("R:R R:R R:R R:R R?:G R?:G", 2, 3, id="once-seen-an-occlusion-is-no-excuse"),
         pytest.param("rl:gl rl:gl rl:gl rl:gl", 1, 1, id="an-arrow"),
+        pytest.param("dR:dgl dR:dgl dR:dgl dR:dgl", 1, 1, id="a-protected-left-under-a-doghouse's-red-ball"),
+        pytest.param("dgl:dgl dgl:dgl dgl:dgl dgl:dgl", 0, 1, id="a-protected-left-that-is-there"),
         pytest.param("fl*:gl fl*:gl fl*:gl fl*:gl fl*:gl", 0, 0, id="a-flashing-arrow-is-no-stop"),
     ],
 )

@@ -10,7 +10,7 @@ from autolights.core.config import parse_config
 from autolights.pipeline import PipelineConfig
 
 _LAMPS = {
-    color: {"color": color, "shape": "ball", "center": [0.5, y], "movement": "through", "meaning": meaning}
+    color: {"color": color, "shape": "ball", "center": [0.5, y], "movements": ["through"], "meaning": meaning}
     for color, y, meaning in (("red", 0.2, "stop"), ("green", 0.8, "go"))
 }
 BEACON = {
