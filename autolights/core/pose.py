@@ -46,7 +46,7 @@ class PoseBuffer:
     Position is interpolated linearly, rotation along the great arc (the paper's pose interpolation, Sec. III-B).
 
     Args:
-        poses: Initial poses, in any order.
+        poses: Initial poses, in any order; of those with equal stamps the last one counts.
         max_gap_s: Two neighbours farther apart than this are not interpolated between.
         max_extrapolation_s: How far beyond the first or last pose the motion is continued; 0 forbids it.
         history_s: Poses older than this before the newest are forgotten; None keeps all.
@@ -60,7 +60,7 @@ class PoseBuffer:
         max_extrapolation_s: float = 0.05,
         history_s: float | None = None,
     ) -> None:
-        self._poses = sorted(poses, key=_stamp)
+        self._poses = sorted({pose.stamp_ns: pose for pose in poses}.values(), key=_stamp)
         self._max_gap_ns = round(max_gap_s * 1e9)
         self._max_extrapolation_ns = round(max_extrapolation_s * 1e9)
         self._history_ns = None if history_s is None else round(history_s * 1e9)

@@ -53,6 +53,13 @@ def test_poses_may_arrive_late_and_twice():
     assert poses.at(START_NS + 15 * MS).position[0] == pytest.approx(5.5)
 
 
+def test_of_equal_stamps_the_last_pose_counts():
+    poses = buffer(pose(20, x=9), pose(0, x=0), pose(20, x=1))
+
+    assert len(poses) == 2
+    assert poses.at(START_NS + 40 * MS).position[0] == pytest.approx(2)
+
+
 def test_motion_goes_on_for_a_moment_beyond_the_last_pose():
     poses = buffer(pose(0, x=0.0, yaw_deg=0), pose(20, x=1.0, yaw_deg=20))
 
