@@ -28,6 +28,7 @@ from autolights.core import (
     SignalSet,
     TrafficLightMap,
 )
+from autolights.core.boxes import area
 from autolights.core.errors import MapError, PoseError, UsageError
 from autolights.infer import Detector
 from autolights.track import (
@@ -78,7 +79,7 @@ class ImageDetector(Protocol):
     """Anything that finds lights in images: the shipped one, a recorded one, a user's own."""
 
     def batch(self, images_bgr: Sequence[ImageArray]) -> list[Detections]:
-        """Detections in each (H, W, 3) image, in pixels of that image."""
+        """Detections in each (H, W, 3) image, in pixels of that image; boxes without area are dropped."""
         ...
 
 
@@ -225,7 +226,7 @@ class LightPipeline:
     def _with_pose(
         self, frames: Sequence[Stamped], detections: Sequence[Detections]
     ) -> Iterator[tuple[CameraModel, Pose, Detections]]:
-        """Each frame with the vehicle's pose at its own stamp, as far as that is known."""
+        """Each frame with the vehicle's pose at its own stamp, as far as that is known; boxes without area go."""
         if self._last_set_ns is not None and frames and max(f.stamp_ns for f in frames) < self._last_set_ns:
             self._skip(LATE, len(frames), f"the set is {LATE}, of stamp {self._last_set_ns}")
             return
@@ -240,7 +241,8 @@ class LightPipeline:
             except PoseError as error:
                 self._skip(NO_POSE, 1, f"camera '{frame.camera}': {error}")
                 continue
-            yield self._cameras[frame.camera], pose, found
+            # A box without area has no size to be placed by.
+            yield self._cameras[frame.camera], pose, found[area(found.boxes_xyxy) > 0]
 
     def _skip(self, reason: str, count: int, text: str) -> None:
         self.skipped[reason] += count

@@ -83,6 +83,24 @@ def test_a_detector_of_other_classes_is_refused(make_scene: Callable) -> None:
         pipeline.step_detections([CameraFrame("narrow", 0, BLACK)], [Detections.empty(80)])
 
 
+@pytest.mark.parametrize("variant", ["od", "fusion", "full"])
+@pytest.mark.parametrize("box", [(0, 0, 0, 0), (600, 300, 600, 340), (620, 340, 600, 300)])
+def test_boxes_without_area_change_nothing(make_scene: Callable, variant: str, box: tuple[float, ...]) -> None:
+    scene = make_scene(LIGHTS, off_map=frozenset({"new"}), speed_mps=0)
+    plain, odd = (scene.pipeline(PipelineConfig(variant=variant)) for _ in range(2))
+    for stamp_ns in (0, 100_000_000):
+        found = scene.detect("narrow", 0.0)
+        more = Detections(
+            np.vstack([box, found.boxes_xyxy]),
+            np.append(1.0, found.objectness),
+            np.vstack([found.class_probs[0], found.class_probs]),
+        )
+        frames = [CameraFrame("narrow", stamp_ns, BLACK)]
+        wanted, told = plain.step_detections(frames, [found]), odd.step_detections(frames, [more])
+    assert [e.to_json() for e in told] == [e.to_json() for e in wanted]
+    assert len(told) == 3
+
+
 def test_a_map_light_of_unknown_type_is_named(make_scene: Callable) -> None:
     scene = make_scene(LIGHTS)
     object.__setattr__(scene.map, "types", ("3", "tram", "5dh"))

@@ -16,6 +16,9 @@ class Detections:
         boxes_xyxy: (n, 4) pixels of the original image, edge coordinates.
         objectness: (n,) in [0, 1].
         class_probs: (n, C) independent sigmoids, without objectness: rows need not sum to 1.
+
+    Raises:
+        ValueError: If shapes do not fit each other or a number is not finite.
     """
 
     boxes_xyxy: FloatArray
@@ -31,6 +34,10 @@ class Detections:
             )
         if self.class_probs.ndim != 2:
             raise ValueError(f"class_probs must be (n, C), got {self.class_probs.shape}")
+        for name in ("boxes_xyxy", "objectness", "class_probs"):
+            values = getattr(self, name)
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} of detections must be finite, got {values[~np.isfinite(values)][0]}")
 
     @classmethod
     def empty(cls, class_count: int) -> Self:

@@ -28,6 +28,16 @@ def test_no_detection_is_an_ordinary_case():
     assert (len(none), none.scores.shape, none.class_ids.shape, none.class_probs.shape) == (0, (0,), (0,), (0, 13))
 
 
+@pytest.mark.parametrize("column", ["boxes_xyxy", "objectness", "class_probs"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_must_be_finite(two, column, value):
+    columns = {name: getattr(two, name).copy() for name in ("boxes_xyxy", "objectness", "class_probs")}
+    columns[column].flat[-1] = value
+
+    with pytest.raises(ValueError, match=f"{column} of detections must be finite, got {value}"):
+        Detections(**columns)
+
+
 @pytest.mark.parametrize(
     ("boxes", "objectness", "probs"),
     [
