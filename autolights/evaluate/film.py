@@ -14,7 +14,7 @@ import numpy as np
 from autolights.core import FloatArray, ImageArray, LightEstimate, SignalSet
 from autolights.core.boxes import cxcywh_from_xyxy
 from autolights.core.errors import DataError
-from autolights.core.light_box import light_corners, project_corners
+from autolights.core.light_box import project_visible
 from autolights.data import DetectedFrame, FrameRecord
 from autolights.evaluate.moments import estimate_box, estimates_in
 from autolights.evaluate.outcomes import RunOutcomes
@@ -152,17 +152,10 @@ def _draw(
 
 
 def _map_boxes(run: RunOutcomes, frame: tuple[str, int]) -> dict[str | None, FloatArray]:
-    camera = run.drive.cameras[frame[0]]
-    pose = run.poses.at(frame[1])
-    lights = run.drive.lights.take(run.drive.lights.within(pose.position, camera.max_range_m))
-    corners = light_corners(lights.positions, lights.headings_deg, lights.sizes_m)
-    boxes = project_corners(corners, camera, camera.cam_from_ins @ np.linalg.inv(pose.utm_from_ins))
-    width, height = camera.size_wh
-    return {
-        light_id: box
-        for light_id, box in zip(lights.ids, boxes, strict=True)
-        if box[2] > 0 and box[0] < width and box[3] > 0 and box[1] < height  # NaN fails too
-    }
+    """Where the runtime looked for the map's lights."""
+    lights = run.drive.lights
+    rows, boxes = project_visible(lights, run.drive.cameras[frame[0]], run.poses.at(frame[1]))
+    return {lights.ids[row]: box for row, box in zip(rows, boxes, strict=True)}
 
 
 def _rectangle(image: ImageArray, box: FloatArray, color: str, thickness: int) -> None:

@@ -1,15 +1,18 @@
 import json
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from autolights.core.errors import DataError
 from autolights.evaluate import evaluate, gather_outcomes, summary, write_report
 from autolights.evaluate.film import best_scene, encode_webm, film_frames
 from autolights.evaluate.moments import saved_moments
+from autolights.evaluate.palette import MAP, bgr
 from autolights.evaluate.sequence import most_eventful
 from autolights.evaluate.summary_json import load_metrics
 
@@ -112,6 +115,23 @@ def test_the_film_plays(town, tmp_path: Path) -> None:
     while capture.read()[0]:
         count += 1
     assert count == len(frames) == len(scene.records)
+
+
+def test_the_film_shows_the_map_as_the_runtime_sees_it(town) -> None:
+    run = gather_outcomes(town.run_dir, town.drive_dir, town.signals)
+    scene = best_scene([run])
+    assert scene is not None
+    scene = replace(scene, records=scene.records[:1])
+    turned_away = replace(run.drive.lights, headings_deg=run.drive.lights.headings_deg + 180)
+    unseen = replace(scene, run=replace(run, drive=replace(run.drive, lights=turned_away)))
+
+    cyan = []
+    for shot in (scene, unseen):
+        (image,) = film_frames(shot, [], town.signals)
+        cyan.append((np.abs(image.astype(int) - bgr(MAP)) < 20).all(axis=-1).sum())
+
+    assert cyan[0] > 0
+    assert cyan[1] == 0, "the runtime expects nothing of a light that looks away"
 
 
 def test_summary_holds_the_figures_of_the_report(town) -> None:

@@ -47,7 +47,6 @@ def test_boxes_are_those_of_opencv(camera: CameraModel) -> None:
         pixels = cv2.projectPoints(corners - ORIGIN, rotation, shift, camera.intrinsics, camera.distortion)[0][:, 0]
         expected = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]) + 0.5
         np.testing.assert_allclose(projected.boxes_xyxy[i], expected, atol=1e-5)
-    np.testing.assert_allclose(projected.distances_m, np.linalg.norm(lights.positions - pose.position, axis=1))
     assert projected.types.tolist() == ["3", "5dh"]
 
 
@@ -79,7 +78,7 @@ def test_rows_point_into_the_map(camera: CameraModel) -> None:
     assert projected.indices.tolist() == [1, 3]
     joined = join_projected(projected, projected, row_offset=4)
     assert joined.indices.tolist() == [1, 3, 5, 7]
-    assert len(joined.boxes_xyxy) == len(joined.types) == len(joined.distances_m) == len(joined.expected) == 4
+    assert len(joined.boxes_xyxy) == len(joined.types) == len(joined.expected) == 4
 
 
 def test_an_empty_map_projects_nothing(camera: CameraModel) -> None:
