@@ -9,7 +9,7 @@ from autolights.core.detections import Detections
 from autolights.core.estimates import CameraView, LightEstimate
 from autolights.core.frames import CameraFrame
 from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
-from autolights.core.light_map import TrafficLight, TrafficLightMap
+from autolights.core.light_map import TrafficLightMap
 from autolights.core.pose import Pose, PoseBuffer
 from autolights.core.signals import FlashingPair, Lamp, LightType, SignalSet, SignalState, load_signals
 
@@ -36,7 +36,6 @@ __all__ = [
     "PoseBuffer",
     "SignalSet",
     "SignalState",
-    "TrafficLight",
     "TrafficLightMap",
     "back_project",
     "find_config",

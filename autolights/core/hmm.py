@@ -26,7 +26,7 @@ class HmmParameters:
         transition: (k, k) A at `nominal_dt_s`: `[i, j]` = P(q_t = j | q_{t-1} = i), rows sum to 1.
         observation: (k, k) B: `[i, j]` = P(o = j | q = i), rows sum to 1.
         evidence: (k, k) C: `[j, k]` = P(q = j | o = k), columns sum to 1.
-        miss_probs: (k,) P(no detection of this type | state).
+        miss_probs: (k,) P(no detection of this type | state); for the record, not read by the runtime.
         counts: (k, k) the block of the confusion matrix behind B, pseudocount not included.
         provenance: Where the numbers come from: prior, pseudocount, score threshold, hand tuning.
 

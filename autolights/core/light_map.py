@@ -10,17 +10,6 @@ from autolights.core.arrays import FloatArray, IntArray, as_float_array
 from autolights.core.errors import MapError
 
 
-@dataclass(frozen=True)
-class TrafficLight:
-    """One light of a map: a row of `TrafficLightMap`."""
-
-    id: str
-    type: str
-    position: tuple[float, float, float]
-    heading_deg: float
-    size_m: tuple[float, float, float]
-
-
 @dataclass(frozen=True, eq=False)
 class TrafficLightMap:
     """Lights in columns, searchable by position.
@@ -66,11 +55,6 @@ class TrafficLightMap:
 
     def __len__(self) -> int:
         return len(self.ids)
-
-    def __getitem__(self, i: int) -> TrafficLight:
-        x, y, z = (float(value) for value in self.positions[i])
-        width, height, depth = (float(value) for value in self.sizes_m[i])
-        return TrafficLight(self.ids[i], self.types[i], (x, y, z), float(self.headings_deg[i]), (width, height, depth))
 
     def take(self, indices: IntArray) -> "TrafficLightMap":
         """A map of the given rows only."""

@@ -3,7 +3,6 @@
 from bisect import bisect_left, insort
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -64,12 +63,6 @@ class PoseBuffer:
         self._max_gap_ns = round(max_gap_s * 1e9)
         self._max_extrapolation_ns = round(max_extrapolation_s * 1e9)
         self._history_ns = None if history_s is None else round(history_s * 1e9)
-
-    @classmethod
-    def from_arrays(cls, stamps_ns: Iterable[int], positions: FloatArray, quaternions_xyzw: FloatArray) -> Self:
-        """Columns: (n,) stamps, (n, 3) metres, (n, 4)."""
-        rows = zip(stamps_ns, positions, quaternions_xyzw, strict=True)
-        return cls(Pose(int(stamp), position, quaternion) for stamp, position, quaternion in rows)
 
     def __len__(self) -> int:
         return len(self._poses)

@@ -27,8 +27,6 @@ from autolights.evaluate.timelines import (
     unsafe_frames,
 )
 
-EVALUATION = "evaluation.json"
-
 
 class Share(Config):
     """`count` of `total`."""

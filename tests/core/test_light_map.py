@@ -33,9 +33,9 @@ def test_range_query_against_all_distances(seed, n, radius_m):
 def test_rows():
     town = lights([[1, 2, 3], [4, 5, 6]], intersections=("a", "b"))
 
-    assert (town[1].id, town[1].position, town[1].size_m) == ("light-1", (4, 5, 6), (0.36, 1.07, 0.3))
     taken = town.take(np.array([1]))
     assert (taken.ids, taken.intersections, taken.groups) == (("light-1",), ("b",), ("",))
+    assert (taken.positions.tolist(), taken.sizes_m.tolist()) == ([[4, 5, 6]], [[0.36, 1.07, 0.3]])
     assert len(town.take(np.array([], dtype=int))) == 0
 
 

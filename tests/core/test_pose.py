@@ -25,7 +25,7 @@ def test_interpolation_agrees_with_scipy(seed, offset_ns):
     random = np.random.default_rng(seed)
     stamps = START_NS + np.array([0, 20, 40]) * MS
     rotations, positions = Rotation.random(3, rng=random), random.normal(size=(3, 3)) * 1e6
-    poses = PoseBuffer.from_arrays(stamps, positions, rotations.as_quat())
+    poses = PoseBuffer(map(Pose, stamps.tolist(), positions, rotations.as_quat()))
 
     at = poses.at(START_NS + offset_ns)
 
