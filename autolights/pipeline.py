@@ -9,7 +9,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, Protocol, Self, TypeAlias
+from typing import Any, Protocol, Self
 
 import numpy as np
 from pydantic import Field
@@ -30,6 +30,7 @@ from autolights.core import (
 )
 from autolights.core.boxes import area
 from autolights.core.errors import MapError, PoseError, UsageError
+from autolights.core.estimates import Variant
 from autolights.infer import Detector
 from autolights.track import (
     CameraObservation,
@@ -45,7 +46,6 @@ from autolights.track import (
     project_lights,
 )
 
-Variant: TypeAlias = Literal["od", "fusion", "full"]
 NO_POSE, LATE = "no pose", "earlier than the set before"
 _POSE_HISTORY_S = 10.0
 

@@ -14,14 +14,14 @@ import autolights
 from autolights.core import Bundle, CameraFrame, Detections, LightEstimate, SignalSet
 from autolights.core.atomic import new_folder, refuse_existing
 from autolights.core.errors import DataError, UsageError
+from autolights.core.estimates import VARIANTS, Variant
 from autolights.core.json_files import write_json
 from autolights.core.progress import say, track
 from autolights.data import Drive, FrameRecord
 from autolights.data.run_output import DETECTIONS, ESTIMATES, RUN
 from autolights.infer import Detector
-from autolights.pipeline import ImageDetector, LightPipeline, PipelineConfig, Variant
+from autolights.pipeline import ImageDetector, LightPipeline, PipelineConfig
 
-VARIANTS: tuple[Variant, ...] = ("od", "fusion", "full")
 UNREADABLE = "unreadable image"
 
 

@@ -1,4 +1,4 @@
-"""Boxes: layouts, overlap and non-maximum suppression.
+"""Boxes: layouts, overlap, pairs and non-maximum suppression.
 
 Boxes are edge coordinates in pixels of the original image: (0, 0, width, height) is the whole image.
 """
@@ -48,6 +48,32 @@ def iou_matrix(boxes_a_xyxy: FloatArray, boxes_b_xyxy: FloatArray) -> FloatArray
     intersection = sides[..., 0] * sides[..., 1]
     union = area(boxes_a_xyxy)[:, None] + area(boxes_b_xyxy)[None, :] - intersection
     return np.asarray(np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0))
+
+
+def match_boxes(
+    boxes_a_xyxy: FloatArray, boxes_b_xyxy: FloatArray, *, iou_threshold: float
+) -> tuple[IntArray, IntArray]:
+    """Pair boxes one to one, the best overlap first, whatever their classes.
+
+    Args:
+        boxes_a_xyxy: (n, 4) pixels.
+        boxes_b_xyxy: (m, 4) pixels.
+        iou_threshold: Pairs that overlap by less are none.
+
+    Returns:
+        Two (k,) arrays: rows of a and the rows of b that they are paired with.
+    """
+    overlap = iou_matrix(boxes_a_xyxy, boxes_b_xyxy)
+    rows, columns = np.nonzero(overlap >= iou_threshold)
+    best_first = np.argsort(-overlap[rows, columns], kind="stable")
+    taken_a, taken_b = np.zeros(len(boxes_a_xyxy), dtype=bool), np.zeros(len(boxes_b_xyxy), dtype=bool)
+    pairs: list[tuple[int, int]] = []
+    for a, b in zip(rows[best_first], columns[best_first], strict=True):
+        if not (taken_a[a] or taken_b[b]):
+            taken_a[a] = taken_b[b] = True
+            pairs.append((int(a), int(b)))
+    matched = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return matched[:, 0], matched[:, 1]
 
 
 def nms(boxes_xyxy: FloatArray, scores: FloatArray, *, iou_threshold: float, max_boxes: int) -> IntArray:

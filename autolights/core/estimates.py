@@ -1,10 +1,14 @@
 """What the runtime says about one light at one instant."""
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Literal, Self, TypeAlias
 
 from autolights.core.arrays import FloatArray, as_float_array
 from autolights.core.errors import DataError
+
+# Of the pipeline, the paper's ablation: detections alone, held against the map, tracked.
+Variant: TypeAlias = Literal["od", "fusion", "full"]
+VARIANTS: tuple[Variant, ...] = ("od", "fusion", "full")
 
 
 @dataclass(frozen=True)

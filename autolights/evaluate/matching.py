@@ -6,15 +6,15 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from autolights.core import FloatArray, LightEstimate
-from autolights.core.boxes import iou_matrix
+from autolights.core.boxes import match_boxes
 from autolights.data import TruthLight
 
 MIN_IOU = 0.5
 MAX_DISTANCE_M = 3.0
 
 
-def match_boxes(truth_xyxy: FloatArray, reported_xyxy: FloatArray) -> dict[int, int]:
-    """Match boxes greedily, the best overlap first, from an IoU of 0.5.
+def match_seen_boxes(truth_xyxy: FloatArray, reported_xyxy: FloatArray) -> dict[int, int]:
+    """Match boxes from an IoU of 0.5, the best overlap first.
 
     Args:
         truth_xyxy: (n, 4) pixels.
@@ -23,15 +23,8 @@ def match_boxes(truth_xyxy: FloatArray, reported_xyxy: FloatArray) -> dict[int, 
     Returns:
         Index of the truth → index of the report.
     """
-    iou = iou_matrix(truth_xyxy, reported_xyxy)
-    matches: dict[int, int] = {}
-    for flat in np.argsort(-iou, axis=None, kind="stable"):
-        i, j = divmod(int(flat), iou.shape[1])
-        if iou[i, j] < MIN_IOU:
-            break
-        if i not in matches and j not in matches.values():
-            matches[i] = j
-    return matches
+    truths, reports = match_boxes(truth_xyxy, reported_xyxy, iou_threshold=MIN_IOU)
+    return dict(zip(truths.tolist(), reports.tolist(), strict=True))
 
 
 def match_lights(

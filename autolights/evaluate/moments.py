@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from autolights.core import FloatArray, LightEstimate, SignalSet
+from autolights.core.estimates import Variant
 from autolights.core.light_box import light_corners, project_corners
+from autolights.core.transforms import invert_rigid
 from autolights.data import EstimateSet
 from autolights.evaluate.errors_by_cause import causes
-from autolights.evaluate.outcomes import LightOutcome, RunOutcomes, Variant
+from autolights.evaluate.outcomes import LightOutcome, RunOutcomes
 
 APART_S = 2.0
 ASPECT = 16 / 9
@@ -210,7 +212,7 @@ def estimate_box(
         east, north, _ = pose.position - estimate.position
         heading_deg = float(np.degrees(np.arctan2(east, north)))
     corners = light_corners(estimate.position[None], np.array([heading_deg]), signals.sizes_m([estimate.type]))
-    cam_from_utm = camera.cam_from_ins @ np.linalg.inv(pose.utm_from_ins)
+    cam_from_utm = camera.cam_from_ins @ invert_rigid(pose.utm_from_ins)
     left, top, right, bottom = project_corners(corners, camera, cam_from_utm)[0].tolist()
     return None if np.isnan(left) else (left, top, right, bottom)
 

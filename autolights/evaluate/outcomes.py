@@ -3,19 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from autolights.core import FloatArray, LightEstimate, PoseBuffer, SignalSet
 from autolights.core.errors import DataError, PoseError
+from autolights.core.estimates import VARIANTS, Variant
 from autolights.data import Drive, EstimateSet, TruthFrame, TruthLight, load_estimates, load_run_info, load_truth
 from autolights.data.run_output import ESTIMATES, RUN
 from autolights.evaluate.in_view import lights_in_view
-from autolights.evaluate.matching import match_boxes, match_lights
+from autolights.evaluate.matching import match_lights, match_seen_boxes
 
-Variant: TypeAlias = Literal["od", "fusion", "full"]
-VARIANTS: tuple[Variant, ...] = ("od", "fusion", "full")
 OCCLUDED_ABOVE = 0.5  # share of the box from which a light counts as occluded
 
 
@@ -215,10 +214,10 @@ def _score_boxes(
     scene: _Scene, rows: VariantOutcomes, frame: tuple[str, int], estimates: Sequence[LightEstimate]
 ) -> None:
     boxes = np.array([_box_in(estimate, frame) for estimate in estimates]).reshape(-1, 4)
-    matches = match_boxes(_boxes(scene.labelled[frame]), boxes)
+    matches = match_seen_boxes(_boxes(scene.labelled[frame]), boxes)
     rows.outcomes += _rows(scene, frame, matches, estimates)
     left = [j for j in range(len(estimates)) if j not in matches.values()]
-    excused = match_boxes(_boxes(scene.others[frame]), boxes[left])
+    excused = match_seen_boxes(_boxes(scene.others[frame]), boxes[left])
     _add_false(scene, rows, frame[1], [estimates[j] for i, j in enumerate(left) if i not in excused.values()])
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from autolights.evaluate.outcomes import Variant
+from autolights.core.estimates import Variant
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,13 @@ from typing import Any, Self
 import numpy as np
 
 from autolights.core import Config, SignalSet
+from autolights.core.estimates import VARIANTS, Variant
 from autolights.core.json_files import read_json_object, validated, write_json
 from autolights.evaluate.errors_by_cause import count_causes
 from autolights.evaluate.outcomes import (
-    VARIANTS,
     FalseReport,
     LightOutcome,
     RunOutcomes,
-    Variant,
     gather_outcomes,
 )
 from autolights.evaluate.timelines import (

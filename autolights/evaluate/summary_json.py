@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from autolights.core.errors import DataError
+from autolights.core.estimates import Variant
 from autolights.core.json_files import read_json_object
-from autolights.evaluate.outcomes import Variant
 from autolights.evaluate.score import Evaluation
 
 _NAMES: dict[Variant, str] = {"od": "od", "fusion": "od_fusion", "full": "proposed"}

@@ -10,8 +10,8 @@ import numpy as np
 
 from autolights.core import ImageArray
 from autolights.core.errors import UsageError
+from autolights.core.image_files import IMAGE_ENDINGS
 
-IMAGE_ENDINGS = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 VIDEO_ENDINGS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm"})
 
 

@@ -3,7 +3,9 @@
 import numpy as np
 
 from autolights.core import FloatArray, IntArray
-from autolights.core.boxes import iou_matrix
+from autolights.core.boxes import match_boxes
+
+__all__ = ["count_confusions", "match_boxes"]
 
 
 def count_confusions(
@@ -36,29 +38,3 @@ def count_confusions(
     counts = np.zeros((class_count + 1, class_count + 1), dtype=np.int64)
     np.add.at(counts, (shown, seen), 1)
     return counts
-
-
-def match_boxes(
-    boxes_a_xyxy: FloatArray, boxes_b_xyxy: FloatArray, *, iou_threshold: float
-) -> tuple[IntArray, IntArray]:
-    """Pair boxes one to one, the best overlap first, whatever their classes.
-
-    Args:
-        boxes_a_xyxy: (n, 4) pixels.
-        boxes_b_xyxy: (m, 4) pixels.
-        iou_threshold: Pairs that overlap by less are none.
-
-    Returns:
-        Two (k,) arrays: rows of a and the rows of b that they are paired with.
-    """
-    overlap = iou_matrix(boxes_a_xyxy, boxes_b_xyxy)
-    rows, columns = np.nonzero(overlap >= iou_threshold)
-    best_first = np.argsort(-overlap[rows, columns], kind="stable")
-    taken_a, taken_b = np.zeros(len(boxes_a_xyxy), dtype=bool), np.zeros(len(boxes_b_xyxy), dtype=bool)
-    pairs: list[tuple[int, int]] = []
-    for a, b in zip(rows[best_first], columns[best_first], strict=True):
-        if not (taken_a[a] or taken_b[b]):
-            taken_a[a] = taken_b[b] = True
-            pairs.append((int(a), int(b)))
-    matched = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return matched[:, 0], matched[:, 1]

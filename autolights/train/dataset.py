@@ -16,9 +16,10 @@ from autolights.core.boxes import cxcywh_from_xyxy
 from autolights.core.errors import DataError
 from autolights.core.progress import track
 from autolights.data.image_dataset import ImageDataset
+from autolights.infer.letterbox import GREY
 from autolights.train.augment import PixelChanges, flip, may_flip
 from autolights.train.config import TrainConfig
-from autolights.train.placement import GREY, Placement, place_crop, place_mosaic, place_whole, visible_part
+from autolights.train.placement import Placement, place_crop, place_mosaic, place_whole, visible_part
 
 _DECODING_THREADS = 2
 

@@ -13,8 +13,6 @@ from autolights.core.arrays import BoolArray, FloatArray, ImageArray
 from autolights.core.boxes import area, clip
 from autolights.train.config import AugmentConfig, CropConfig
 
-GREY = 114  # what the letterbox fills with at runtime
-
 
 @dataclass(frozen=True, eq=False)
 class Placement:

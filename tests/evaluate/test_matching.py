@@ -5,7 +5,7 @@ import pytest
 
 from autolights.core import LightEstimate
 from autolights.data import TruthLight
-from autolights.evaluate.matching import match_boxes, match_lights
+from autolights.evaluate.matching import match_lights, match_seen_boxes
 
 
 def _truth(position: list[float], map_id: str | None = None) -> TruthLight:
@@ -34,7 +34,7 @@ def _estimate(position: list[float], map_id: str | None = None, *, withheld: boo
     ],
 )
 def test_boxes(truth: list[list[float]], reported: list[list[float]], expected: dict[int, int]) -> None:
-    got = match_boxes(np.array(truth, float).reshape(-1, 4), np.array(reported, float).reshape(-1, 4))
+    got = match_seen_boxes(np.array(truth, float).reshape(-1, 4), np.array(reported, float).reshape(-1, 4))
     assert got == expected
 
 

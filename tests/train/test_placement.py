@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from autolights.infer.letterbox import GREY
 from autolights.train.config import AugmentConfig, CropConfig
-from autolights.train.placement import GREY, place_crop, place_mosaic, place_whole, visible_part
+from autolights.train.placement import place_crop, place_mosaic, place_whole, visible_part
 
 STILL = AugmentConfig(rotate_deg=0, scale=0, translate=0)
 WHITE = 255
