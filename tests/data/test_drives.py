@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,26 @@ def test_a_drive_comes_back_as_it_was_written(drive_parts, signals: SignalSet) -
     assert drive.lights.ids == drive_parts.lights.ids
     assert drive.truth_path.is_file()
     assert drive.read(drive.frames[0]).image_bgr.shape == (40, 64, 3)
+
+
+def test_the_drive_in_the_documentation_loads(tmp_path: Path, signals: SignalSet) -> None:
+    formats = Path(__file__).parents[2] / "docs/formats.md"
+    blocks = re.findall(r"^```(?:yaml|text|json)\n(.*?)```$", formats.read_text(), re.DOTALL | re.MULTILINE)
+    info, calibration, tables, lights = blocks[-4:]
+    (tmp_path / "drive.yaml").write_text(info.replace("[narrow, wide]", "[narrow]"))
+    (tmp_path / "calibration.yaml").write_text(calibration)
+    for name, table in zip(("poses.csv", "frames.csv"), tables.split("\n\n"), strict=True):
+        comment, _, rows = table.partition("\n")
+        assert comment.startswith(f"# {name}")
+        (tmp_path / name).write_text(rows + "\n")
+    (tmp_path / "map.geojson").write_text(lights)
+    (tmp_path / "images/narrow").mkdir(parents=True)
+    (tmp_path / "images/narrow/00000.jpg").touch()
+
+    drive = Drive.load(tmp_path, signals)
+
+    assert (drive.name, list(drive.cameras), len(drive.frames), drive.lights.types) == ("sunny", ["narrow"], 1, ("4",))
+    assert np.linalg.norm(drive.lights.positions[0] - drive.poses[0].position) < 100
 
 
 def test_frames_of_two_cameras_make_sets(drive_parts, signals: SignalSet) -> None:
