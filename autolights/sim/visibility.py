@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from autolights.core import FloatArray
+from autolights.core.light_box import project_corners
 from autolights.sim.heads import SignalHead
 from autolights.sim.render import Outline
 from autolights.sim.view import View
@@ -14,14 +15,9 @@ _GRID_WH = (24, 64)  # cells over a box in which hidden ones are counted
 
 
 def amodal_box(head: SignalHead, view: View) -> FloatArray | None:
-    """(4,) box of the whole housing in pixels, hidden or outside the image or not; None if it reaches behind the lens.
-
-    The box spans the eight projected corners; its edges are +0.5 from pixel centres.
-    """
-    corners = view.project(head.corners())
-    if not np.isfinite(corners).all():
-        return None
-    return np.concatenate([corners.min(axis=0), corners.max(axis=0)]) + 0.5
+    """(4,) pixels, the box of a whole housing, hidden or out of the image or not; None if it reaches behind the lens."""
+    box = project_corners(head.corners()[None], view.camera, view.cam_from_town)[0]
+    return box if np.isfinite(box).all() else None
 
 
 def occlusion(head_id: str, box_xyxy: FloatArray, outlines: Sequence[Outline]) -> float:
