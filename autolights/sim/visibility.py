@@ -15,7 +15,7 @@ _GRID_WH = (24, 64)  # cells over a box in which hidden ones are counted
 
 
 def amodal_box(head: SignalHead, view: View) -> FloatArray | None:
-    """(4,) pixels, the box of a whole housing, hidden or out of the image or not; None if it reaches behind the lens."""
+    """(4,) pixels, the box of a whole housing, hidden or outside or not; None if it reaches behind the lens."""
     box = project_corners(head.corners()[None], view.camera, view.cam_from_town)[0]
     return box if np.isfinite(box).all() else None
 
