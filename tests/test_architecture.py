@@ -36,7 +36,7 @@ def test_training_verb_without_training_stack_says_what_to_install() -> None:
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({TRAINING_STACK!r}))
-sys.argv = ["autolights", "export", "missing.pt", "--out", "never.onnx"]
+sys.argv = ["autolights", "export", {str(PACKAGE / "__init__.py")!r}, "--out", "never.onnx"]
 from autolights.cli import main
 main()
 """

@@ -14,11 +14,11 @@ from autolights.core.arrays import FloatArray, ImageArray, IntArray
 from autolights.core.boxes import xyxy_from_cxcywh
 from autolights.core.config import read_yaml
 from autolights.core.errors import DataError, UsageError
+from autolights.core.image_files import IMAGE_ENDINGS
 from autolights.core.progress import say
 
 Split = Literal["train", "val"]
 
-_IMAGE_ENDINGS = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 _OUTSIDE_TOLERANCE = 1e-6  # fractions: six printed decimals round a touching box this far out
 
 
@@ -147,9 +147,9 @@ def load_image_dataset(
                 f"{folder}: no images for '{split}'; expected {split}/images or images/{split}, with labels beside them"
                 + ("; or set val_fraction to hold out a share of the training part" if split == "val" else "")
             )
-    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in _IMAGE_ENDINGS)
+    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in IMAGE_ENDINGS)
     if not paths:
-        raise UsageError(f"{images}: holds no image ({', '.join(sorted(_IMAGE_ENDINGS))})")
+        raise UsageError(f"{images}: holds no image ({', '.join(sorted(IMAGE_ENDINGS))})")
     if val_fraction and _image_folder(folder, "val", description) is None:
         paths = _split_by_group(paths, split, val_fraction, group_pattern)
         if not paths:

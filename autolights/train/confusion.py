@@ -5,8 +5,6 @@ import numpy as np
 from autolights.core import FloatArray, IntArray
 from autolights.core.boxes import match_boxes
 
-__all__ = ["count_confusions", "match_boxes"]
-
 
 def count_confusions(
     truth_boxes_xyxy: FloatArray,

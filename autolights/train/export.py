@@ -16,12 +16,12 @@ from torch import Tensor, nn
 import autolights
 from autolights.core import ImageArray, InitialWeights, ModelInfo
 from autolights.core.atomic import new_file
+from autolights.core.boxes import match_boxes
 from autolights.core.bundle import FORMAT_VERSION
 from autolights.core.errors import ParityError, UsageError
 from autolights.infer.decode import decode
 from autolights.infer.letterbox import InputBuffer
 from autolights.infer.session import OnnxSession
-from autolights.train.confusion import match_boxes
 from autolights.train.model import MAX_STRIDE, STRIDES, YoloV5
 
 OPSET = 17  # read by TensorRT 8.6 and later and by every ONNX Runtime since 1.12

@@ -5,12 +5,12 @@ import torch
 from torch import nn
 
 from autolights.core import InitialWeights
+from autolights.core.boxes import match_boxes
 from autolights.core.bundle import load_model_info
 from autolights.core.errors import ParityError, UsageError
 from autolights.infer import Detector, decode
 from autolights.infer.letterbox import InputBuffer
 from autolights.train import export
-from autolights.train.confusion import match_boxes
 from autolights.train.export import Parity, export_onnx
 from autolights.train.model import YoloV5
 
