@@ -36,7 +36,8 @@ def train(
 
 def val(
     checkpoint: Annotated[
-        Path, typer.Argument(exists=True, help="best.pt of a training run, or a public YOLOv5 checkpoint.")
+        Path,
+        typer.Argument(exists=True, dir_okay=False, help="best.pt of a training run, or a public YOLOv5 checkpoint."),
     ],
     data: Annotated[Path, typer.Argument(exists=True, help="YOLO-format folder.")],
     split: Annotated[str, typer.Option(help="Part of the data: train or val.")] = "val",
@@ -98,12 +99,12 @@ def val(
 
 
 def export(
-    checkpoint: Annotated[Path, typer.Argument(exists=True, help="best.pt of a training run.")],
+    checkpoint: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="best.pt of a training run.")],
     out: Out = Path("runs/export/model.onnx"),
     size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
     score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the runtime.")] = 0.25,
     metrics: Annotated[
-        Path | None, typer.Option(exists=True, help="metrics.json of `val`, kept in the manifest.")
+        Path | None, typer.Option(exists=True, dir_okay=False, help="metrics.json of `val`, kept in the manifest.")
     ] = None,
     image: Annotated[
         list[str] | None, typer.Option(help="Images to compare on, beside random ones; repeatable.")
@@ -139,7 +140,7 @@ def export(
 
 
 def fit_hmm(
-    confusion: Annotated[Path, typer.Argument(exists=True, help="confusion.json of `val`.")],
+    confusion: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="confusion.json of `val`.")],
     signals: Signals = "signals/autolights_13",
     out: Out = Path("runs/export/hmm.json"),
     pseudocount: Annotated[float, typer.Option(min=0, help="Added to each cell, in counts.")] = 1.0,
@@ -147,7 +148,9 @@ def fit_hmm(
         str, typer.Option(help="Over states: uniform, or empirical (the data's class balance).")
     ] = "uniform",
     frame_rate: Annotated[float, typer.Option(min=0.1, help="Nominal sets of frames per second.")] = 10.0,
-    overrides: Annotated[Path | None, typer.Option(exists=True, help="YAML with hand-tuned matrices by type.")] = None,
+    overrides: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="YAML with hand-tuned matrices by type.")
+    ] = None,
     force: Force = False,
 ) -> None:
     """Fit one HMM per type of light: rates from the signal description, observations from the confusion matrix.
@@ -176,10 +179,13 @@ def fit_hmm(
 
 def bundle(
     model: Annotated[
-        Path, typer.Option(exists=True, help="model.onnx of `export`; its description (.json) lies beside it.")
+        Path,
+        typer.Option(
+            exists=True, dir_okay=False, help="model.onnx of `export`; its description (.json) lies beside it."
+        ),
     ],
-    hmm: Annotated[Path, typer.Option(exists=True, help="hmm.json of `fit-hmm`.")],
-    confusion: Annotated[Path, typer.Option(exists=True, help="confusion.json of `val`.")],
+    hmm: Annotated[Path, typer.Option(exists=True, dir_okay=False, help="hmm.json of `fit-hmm`.")],
+    confusion: Annotated[Path, typer.Option(exists=True, dir_okay=False, help="confusion.json of `val`.")],
     signals: Signals = "signals/autolights_13",
     out: Out = Path("runs/bundle"),
     force: Force = False,

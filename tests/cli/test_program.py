@@ -45,13 +45,15 @@ def test_version(program: Program) -> None:
             "must have a group",
             id="no-group",
         ),
-        pytest.param(["fit-hmm", "{here}", "--overrides", "{here}"], "cannot be read", id="overrides-a-folder"),
+        pytest.param(["fit-hmm", "{here}"], "is a directory", id="folder-for-a-file"),
         pytest.param(["train", "train/nothing"], "shipped: ", id="unknown-config-lists-the-shipped"),
         pytest.param(["train", "train/demo", "epoch=3"], "did you mean 'epochs'?", id="typo-in-override"),
         pytest.param(["train", "train/demo", "data=nowhere"], "nowhere", id="missing-data"),
         pytest.param(["run", "nowhere", "nowhere"], "nowhere", id="missing-bundle"),
         pytest.param(["evaluate", "nowhere"], "nowhere", id="missing-run"),
-        pytest.param(["fit-hmm", "x.json", "--prior", "none"], "uniform or empirical", id="unknown-prior"),
+        pytest.param(
+            ["fit-hmm", "{here}/train/images/a.jpg", "--prior", "none"], "uniform or empirical", id="unknown-prior"
+        ),
         pytest.param(["simulate", "images", "sim/images_demo", "train_images=-1"], "train_images", id="bad-value"),
     ],
 )
