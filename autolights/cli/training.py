@@ -54,7 +54,7 @@ def val(
 ) -> None:
     """Measure a detector: COCO metrics and the confusion matrix with background.
 
-    Writes metrics.json and confusion.json into --out. Splits by --val-fraction and --group-pattern are the same as in
+    Writes metrics.json, confusion.json and images.txt (what was measured on) into --out. Splits by --val-fraction and --group-pattern are the same as in
     training with the same values.
 
     \b
@@ -82,6 +82,7 @@ def val(
         )
         metrics.save(folder / "metrics.json")
         metrics.confusion.save(folder / "confusion.json")
+        (folder / "images.txt").write_text("".join(f"{path}\n" for path in dataset.image_paths))
     if as_json:
         typer.echo(json.dumps(metrics.to_json()))
         return
