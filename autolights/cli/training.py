@@ -54,8 +54,8 @@ def val(
 ) -> None:
     """Measure a detector: COCO metrics and the confusion matrix with background.
 
-    Writes metrics.json, confusion.json and images.txt (what was measured on) into --out. Splits by --val-fraction and --group-pattern are the same as in
-    training with the same values.
+    Writes metrics.json, confusion.json and images.txt (what was measured on) into --out. Splits by --val-fraction and
+    --group-pattern are the same as in training with the same values.
 
     \b
     Example: autolights val runs/train/best.pt runs/images --out runs/val
