@@ -70,6 +70,8 @@ def test_oddities_are_counted_and_repaired(tmp_path: Path, capsys: pytest.Captur
         pytest.param("0 .5 .5 .5 nan", r"a\.txt:2: must read 'class", id="not-finite"),
         pytest.param("red .5 .5 .5 .5", r"a\.txt:2: must hold numbers only, got 'red", id="a-word"),
         pytest.param("2 .5 .5 .5 .5", r"a\.txt:2: class must be 0 to 1, got 2", id="class-too-high"),
+        pytest.param("-1 .5 .5 .5 .5", r"a\.txt:2: class must be 0 to 1, got -1", id="negative-class"),
+        pytest.param("0 .5 .5 -.2 .5", r"a\.txt:2: ", id="negative-width"),
         pytest.param("0.5 .5 .5 .5 .5", r"a\.txt:2: class must be 0 to 1, got 0\.5", id="half-a-class"),
         pytest.param("0 20 10 8 8", r"a\.txt:2: .*fractions of the image, not pixels", id="pixels"),
     ],
