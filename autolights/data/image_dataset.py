@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -95,17 +95,6 @@ class ImageDataset:
         """(n, 4) boxes of one image in pixels of an image of `size_wh`."""
         scale = np.array([*size_wh, *size_wh], dtype=np.float64)
         return np.asarray(xyxy_from_cxcywh(self.boxes_cxcywh[index]) * scale)
-
-    def subset(self, indices: Sequence[int]) -> Self:
-        """The images of these indices, in their order."""
-        return type(self)(
-            root=self.root,
-            classes=self.classes,
-            image_paths=tuple(self.image_paths[i] for i in indices),
-            class_ids=tuple(self.class_ids[i] for i in indices),
-            boxes_cxcywh=tuple(self.boxes_cxcywh[i] for i in indices),
-            signals=self.signals,
-        )
 
 
 def load_image_dataset(
