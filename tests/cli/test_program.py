@@ -31,37 +31,20 @@ def test_version(program: Program) -> None:
     assert (result.returncode, result.stdout.split()[0]) == (0, "autolights")
 
 
+_SPLIT = ["val", "{here}/train/images/a.jpg", "{here}", "--classes", "a", "--val-fraction", "0.5", "--group-pattern"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         pytest.param(["fly"], "No such command", id="unknown-verb"),
         pytest.param(
-            [
-                "val",
-                "{here}/train/images/a.jpg",
-                "{here}",
-                "--classes",
-                "a",
-                "--val-fraction",
-                "0.5",
-                "--group-pattern",
-                "[",
-            ],
+            [*_SPLIT, "["],
             "no regular expression",
             id="bad-pattern",
         ),
         pytest.param(
-            [
-                "val",
-                "{here}/train/images/a.jpg",
-                "{here}",
-                "--classes",
-                "a",
-                "--val-fraction",
-                "0.5",
-                "--group-pattern",
-                "a",
-            ],
+            [*_SPLIT, "a"],
             "must have a group",
             id="no-group",
         ),
