@@ -116,6 +116,7 @@ def run_drive(
         raise UsageError(f"variant must be one of {', '.join(VARIANTS)}, got {unknown[0] if unknown else 'none'}")
     refuse_existing(out_dir, force=force)
     detector = detector or Detector.from_bundle(bundle, threads=threads)
+    poses = drive.pose_buffer()  # only read from here on, so one serves all variants
     run = _Run(
         drive,
         bundle.signals,
@@ -128,7 +129,7 @@ def run_drive(
                 drive.cameras,
                 drive.lights,
                 config.model_copy(update={"variant": variant}),
-                poses=drive.pose_buffer(),
+                poses=poses,
             )
             for variant in VARIANTS
             if variant in variants
