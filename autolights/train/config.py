@@ -17,11 +17,18 @@ class LossConfig(Config):
         box_gain: Of 1 − CIoU.
         objectness_gain: Of the objectness; scaled by (image size / 640)².
         class_gain: Of the classes; scaled by classes / 80. A few-step run from nothing wants 3.0.
+        label_smoothing: Wanted class probabilities are 1 − half of this, and half of this.
+        focal_gamma: Weighs easy cells and classes down by (1 − p)^γ; 0 is plain cross-entropy (Lin et al. 2017).
+        class_balance: Rare classes weigh more: a class's positives count (labels of the class)^−this, scaled so that
+            the mean over labels is 1. 0: all alike; 1: each class as much as any other.
     """
 
     box_gain: float = Field(default=0.05, gt=0)
     objectness_gain: float = Field(default=1.0, gt=0)
     class_gain: float = Field(default=0.5, gt=0)
+    label_smoothing: float = Field(default=0.0, ge=0, lt=1)
+    focal_gamma: float = Field(default=0.0, ge=0)
+    class_balance: float = Field(default=0.0, ge=0, le=1)
 
 
 class ScheduleConfig(Config):
@@ -29,7 +36,7 @@ class ScheduleConfig(Config):
 
     Attributes:
         kind: ``cyclic_cosine`` falls from the maximum to the minimum in each cycle and starts again; ``cosine`` does so
-            once.
+            once; ``linear`` falls in a straight line.
         cycles: Of equal length; for ``cyclic_cosine`` alone.
         max_rate: Learning rate at the start of a cycle (the paper: 0.008).
         min_rate: At the end of a cycle, and of the run.
@@ -40,7 +47,7 @@ class ScheduleConfig(Config):
             only: YOLOv5 takes 0.1.
     """
 
-    kind: Literal["cyclic_cosine", "cosine"] = "cyclic_cosine"
+    kind: Literal["cyclic_cosine", "cosine", "linear"] = "cyclic_cosine"
     cycles: int = Field(default=2, ge=1)
     max_rate: float = Field(default=0.008, gt=0)
     min_rate: float = Field(default=0.00008, ge=0)
@@ -148,7 +155,11 @@ class TrainConfig(Config):
         size: Of the network: n, s, m, l or x.
         weights: ``base`` for the shipped base checkpoint, a file, or empty to start from nothing.
         image_size: Side of the square input for whole images, pixels.
+        rectangular: Whole images keep their shape: a batch holds images of like aspect ratio in the smallest stride-32
+            rectangle that fits them, without mosaic.
         crops: Train on crops instead.
+        finest_stride: Pixels in a cell of the finest level; 4 adds a level to YOLOv5's three.
+        anchors: ``auto`` re-estimates the anchors if they can reach too few labels; ``published`` leaves them alone.
         epochs: Passes through the training images.
         batch: Images in a step of the network.
         nominal_batch: Gradients are summed over batches up to about this many images (YOLOv5: 64).
@@ -159,11 +170,17 @@ class TrainConfig(Config):
         schedule: Of the learning rate.
         loss: Gains.
         augment: Random changes.
+        patience: Stop after so many epochs without better figures; 0: never.
+        freeze_batch_norm: Keep the running statistics that the weights came with.
+        precision: Of the network's arithmetic in training; ``fp16`` scales the loss and needs a GPU.
+        compile: Translate the network by ``torch.compile`` first; pays on GPUs alone.
+        bad_images: Largest share of images that do not decode; they are listed and left out.
         seed: Of all randomness.
         workers: Processes that prepare images; 0 prepares them between the steps.
         threads: Of torch; 0 leaves the choice to it.
-        device: Where the network runs, e.g. ``cpu`` or ``cuda``.
+        device: Where the network runs, e.g. ``cpu`` or ``cuda``; under torchrun each process takes its own GPU.
         cache_mb: Decoded images are kept up to this many megabytes.
+        cache_dir: Keep decoded images in this folder for the next run too; empty: in memory only.
     """
 
     data: str
@@ -175,7 +192,10 @@ class TrainConfig(Config):
     size: Size = "n"
     weights: str = "base"
     image_size: int = Field(default=320, ge=MAX_STRIDE)
+    rectangular: bool = False
     crops: CropConfig | None = None
+    finest_stride: Literal[8, 4] = 8
+    anchors: Literal["auto", "published"] = "auto"
     epochs: int = Field(default=20, ge=1)
     batch: int = Field(default=16, ge=1)
     nominal_batch: int = Field(default=64, ge=1)
@@ -186,11 +206,17 @@ class TrainConfig(Config):
     schedule: ScheduleConfig = ScheduleConfig()
     loss: LossConfig = LossConfig()
     augment: AugmentConfig = AugmentConfig()
+    patience: int = Field(default=0, ge=0)
+    freeze_batch_norm: bool = False
+    precision: Literal["fp32", "bf16", "fp16"] = "fp32"
+    compile: bool = False
+    bad_images: _Share = 0.01
     seed: int = Field(default=0, ge=0)
     workers: int = Field(default=1, ge=0)
     threads: int = Field(default=0, ge=0)
     device: str = "cpu"
     cache_mb: int = Field(default=1500, ge=0)
+    cache_dir: str = ""
 
     @field_validator("data")
     @classmethod
@@ -202,6 +228,8 @@ class TrainConfig(Config):
     @model_validator(mode="after")
     def _check(self) -> Self:
         _check_side(self.image_size, "image_size")
+        if self.rectangular and self.crops:
+            raise ValueError("rectangular is for whole images; leave out crops or rectangular")
         return self
 
     @property
