@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 import torch
 from torch.optim import Optimizer
-from torch.utils.data import DataLoader
 
 import autolights
 from autolights.core import IntArray, load_signals
@@ -22,8 +21,9 @@ from autolights.data.image_dataset import ImageDataset, load_image_dataset
 from autolights.train.augment import mirror_table
 from autolights.train.checkpoint import Checkpoint
 from autolights.train.config import TrainConfig
-from autolights.train.dataset import Batch, EpochOrder, Sample, TrainingSamples, batch_loader, iterate
+from autolights.train.dataset import TrainingSamples
 from autolights.train.ema import WeightAverage
+from autolights.train.loader import Batch, BatchLoader
 from autolights.train.loss import detection_loss
 from autolights.train.metrics import DetectionMetrics
 from autolights.train.model import YoloV5
@@ -99,8 +99,7 @@ def train(config: TrainConfig, out_dir: Path, *, force: bool = False) -> TrainRe
     if config.weights:
         say(f"{config.weights}: {start_from(model, config.weights)}")
     samples = TrainingSamples(images, _mirrors(config, images), config)
-    order = EpochOrder(len(images), repeats=config.crops.per_image if config.crops else 1, seed=config.seed)
-    loader = batch_loader(samples, order, config)
+    loader = BatchLoader(samples, config)
     state = _start(model.to(device).to(memory_format=torch.channels_last), config, len(loader))
     _clear(out_dir)
     save_config(config, out_dir / CONFIG, comment=f"autolights {autolights.__version__}")
@@ -111,8 +110,7 @@ def train(config: TrainConfig, out_dir: Path, *, force: bool = False) -> TrainRe
         try:
             for epoch in range(1, config.epochs + 1):
                 epoch_started = time.monotonic()
-                order.epoch = epoch
-                losses = _train_epoch(state, loader, images, config, log, epoch)
+                losses = _train_epoch(state, loader, samples.images, config, log, epoch)
                 metrics = _validate(state, held_out, config) if _validates(config, epoch) else None
                 checkpoint = _checkpoint(state.average.model, config, epoch, metrics)
                 checkpoint.save(out_dir / LAST)
@@ -199,14 +197,14 @@ def _clear(out_dir: Path) -> None:
 
 
 def _train_epoch(
-    state: _State, loader: DataLoader[Sample], images: ImageDataset, config: TrainConfig, log: RunLog, epoch: int
+    state: _State, loader: BatchLoader, images: ImageDataset, config: TrainConfig, log: RunLog, epoch: int
 ) -> tuple[float, float, float]:
     """Go once through the loader; mean box, objectness and class losses."""
     device = next(state.model.parameters()).device
     state.model.train()
     sums = np.zeros(3)
     for batch in track(
-        iterate(loader), description=f"epoch {epoch}/{config.epochs}", total=len(loader), unit="batches"
+        loader.epoch(epoch), description=f"epoch {epoch}/{config.epochs}", total=len(loader), unit="batches"
     ):
         if state.step == 0:
             log.batch_picture(batch, images.classes)

@@ -13,7 +13,7 @@ import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
 from autolights.core.arrays import ImageArray
-from autolights.train.dataset import Batch
+from autolights.train.loader import Batch
 from autolights.train.metrics import DetectionMetrics
 
 _FIGURES = ("ap", "ap50", "ap75", "ap_s", "ap_m")

@@ -12,8 +12,8 @@ from autolights.core.errors import ConfigError, TrainingError, UsageError
 from autolights.train import engine
 from autolights.train.checkpoint import Checkpoint
 from autolights.train.config import TrainConfig
-from autolights.train.dataset import Batch
 from autolights.train.engine import train
+from autolights.train.loader import Batch
 from autolights.train.model import YoloV5
 from autolights.train.run_log import draw_batch
 from autolights.train.weights import load_checkpoint, read_checkpoint
