@@ -50,42 +50,36 @@ def assign(labels: Tensor, anchors: Tensor, grid_sizes_wh: Sequence[tuple[int, i
     References:
         The assignment of YOLOv5 v6 (https://github.com/ultralytics/yolov5), described in its documentation.
     """
-    return [
-        _assign_level(labels, level_anchors, size_wh)
-        for level_anchors, size_wh in zip(anchors, grid_sizes_wh, strict=True)
-    ]
-
-
-def _assign_level(labels: Tensor, anchors: Tensor, size_wh: tuple[int, int]) -> Assignment:
-    limits = labels.new_tensor(size_wh)
-    sides = labels[:, 4:6] * limits
-    ratios = sides[:, None, :] / anchors[None, :, :]
-    fits = torch.maximum(ratios, 1 / ratios).amax(dim=2) < MAX_SIDE_RATIO
-    label_index, anchor_index = torch.nonzero(fits, as_tuple=True)
-
+    limits = anchors.new_tensor(grid_sizes_wh)  # (levels, 2)
+    sides = labels[None, :, 4:6] * limits[:, None, :]
+    ratios = sides[:, :, None, :] / anchors[:, None, :, :]
+    fits = torch.maximum(ratios, 1 / ratios).amax(dim=3) < MAX_SIDE_RATIO
+    # All levels at once, sorted by level; each search waits for the device, so there are but two.
+    level_index, label_index, anchor_index = torch.nonzero(fits, as_tuple=True)
+    limits = limits[level_index]
     centres = labels[label_index, 2:4] * limits
+    neighbours = centres.new_tensor(_NEIGHBOURS)
+    pair_index, neighbour_index = torch.nonzero(_answering(centres, limits), as_tuple=True)
+    level_index, label_index, anchor_index = level_index[pair_index], label_index[pair_index], anchor_index[pair_index]
+    centres, limits = centres[pair_index], limits[pair_index]
+    # A centre on the input's far edge would floor to a cell that does not exist.
+    cells = torch.minimum((centres + neighbours[neighbour_index]).floor(), limits - 1).clamp_(min=0)
+    boxes = torch.cat([centres - cells, labels[label_index, 4:6] * limits], dim=1)
+    image_ids, class_ids = labels[label_index, :2].long().unbind(dim=1)
+    columns, rows = cells.long().unbind(dim=1)
+    per_level = torch.bincount(level_index, minlength=len(anchors)).tolist()
+    fields = (image_ids, anchor_index, rows, columns, boxes, class_ids)
+    return [Assignment(*level) for level in zip(*(torch.split(field, per_level) for field in fields), strict=True)]
+
+
+# Where the answering cell is looked for, in cells from the label's centre: its own, left, upper, right, lower.
+_NEIGHBOURS = ((0.0, 0.0), (-0.5, 0.0), (0.0, -0.5), (0.5, 0.0), (0.0, 0.5))
+
+
+def _answering(centres: Tensor, limits: Tensor) -> Tensor:
+    """(m, 5) which of `_NEIGHBOURS` answer for centres in a grid of these limits."""
     from_far_edge = limits - centres
     # (m, 2) in x and y: the lower (left, upper) or the higher (right, lower) neighbour is the nearer one and exists.
     lower = (centres % 1 < 0.5) & (centres > 1)
     higher = (from_far_edge % 1 < 0.5) & (from_far_edge > 1)
-    half_x, half_y = centres.new_tensor([0.5, 0.0]), centres.new_tensor([0.0, 0.5])
-    choices = (
-        (torch.ones_like(lower[:, 0]), torch.zeros_like(half_x)),
-        (lower[:, 0], -half_x),
-        (lower[:, 1], -half_y),
-        (higher[:, 0], half_x),
-        (higher[:, 1], half_y),
-    )
-    picked = torch.cat([torch.nonzero(mask).flatten() for mask, _ in choices])
-    shifts = torch.cat([shift.expand(int(mask.sum()), 2) for mask, shift in choices])
-    label_index, anchor_index, centres = label_index[picked], anchor_index[picked], centres[picked]
-    # A centre on the input's far edge would floor to a cell that does not exist.
-    cells = torch.minimum((centres + shifts).floor(), limits - 1).clamp_(min=0)
-    return Assignment(
-        images=labels[label_index, 0].long(),
-        anchors=anchor_index,
-        rows=cells[:, 1].long(),
-        columns=cells[:, 0].long(),
-        boxes=torch.cat([centres - cells, sides[label_index]], dim=1),
-        class_ids=labels[label_index, 1].long(),
-    )
+    return torch.cat([torch.ones_like(lower[:, :1]), lower, higher], dim=1)

@@ -13,10 +13,10 @@ import autolights
 from autolights.core.atomic import new_file
 from autolights.core.bundle import InitialWeights
 from autolights.core.errors import CheckpointError
-from autolights.train.model import Size
+from autolights.train.model import FINE_STRIDES, STRIDES, Size
 
 FORMAT = "autolights-checkpoint"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # 1 had no strides
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,7 @@ class Checkpoint:
         epoch: How many epochs were trained.
         metrics: Figures of the validation after that epoch.
         config: The resolved configuration of the run.
+        strides: Of the network's levels.
     """
 
     size: Size
@@ -40,6 +41,7 @@ class Checkpoint:
     epoch: int = 0
     metrics: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
+    strides: tuple[int, ...] = STRIDES
 
     @property
     def class_count(self) -> int:
@@ -66,6 +68,7 @@ class Checkpoint:
             "epoch": self.epoch,
             "metrics": self.metrics,
             "config": self.config,
+            "strides": list(self.strides),
         }
         with new_file(path) as temporary:
             torch.save(values, temporary)
@@ -90,6 +93,9 @@ class Checkpoint:
             size = values["size"]
             if size not in get_args(Size):
                 raise CheckpointError(f"{path}: size must be one of {get_args(Size)}, got {size!r}")
+            strides = STRIDES if values["format_version"] == 1 else tuple(values["strides"])
+            if strides not in (STRIDES, FINE_STRIDES):
+                raise CheckpointError(f"{path}: strides must be {STRIDES} or {FINE_STRIDES}, got {strides}")
             return cls(
                 size=cast(Size, size),
                 classes=tuple(values["classes"]),
@@ -98,6 +104,7 @@ class Checkpoint:
                 epoch=values["epoch"],
                 metrics=values["metrics"],
                 config=values["config"],
+                strides=strides,
             )
         except KeyError as error:
             raise CheckpointError(f"{path}: field {error} is missing; the file is damaged") from error

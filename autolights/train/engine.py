@@ -214,6 +214,7 @@ def _train_epoch(
             maps,
             batch.labels.to(device),
             state.model.anchors,
+            strides=state.model.strides,
             input_side_px=config.input_side_px,
             config=config.loss,
         )
@@ -276,6 +277,7 @@ def _checkpoint(model: YoloV5, config: TrainConfig, epoch: int, metrics: Detecti
         epoch=epoch,
         metrics=metrics.to_json() if metrics else {},
         config=config.model_dump(mode="json"),
+        strides=model.strides,
     )
 
 

@@ -22,7 +22,7 @@ from autolights.core.errors import ParityError, UsageError
 from autolights.infer.decode import decode
 from autolights.infer.letterbox import InputBuffer
 from autolights.infer.session import OnnxSession
-from autolights.train.model import MAX_STRIDE, STRIDES, YoloV5
+from autolights.train.model import MAX_STRIDE, YoloV5
 
 OPSET = 17  # read by TensorRT 8.6 and later and by every ONNX Runtime since 1.12
 # Raw rows that see nothing hold boxes a thousand pixels wide: the public nano differs by 0.005 px there, in what it
@@ -149,7 +149,7 @@ class _FixedSize(nn.Module):
         self.columns = 5 + len(model.classes)
         width, height = size_wh
         strides, cells, anchors = [], [], []
-        for level, stride in enumerate(STRIDES):
+        for level, stride in enumerate(model.strides):
             rows, columns = height // stride, width // stride
             y, x = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
             cells.append(torch.stack([x, y], dim=-1).reshape(-1, 2).repeat(3, 1))

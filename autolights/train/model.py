@@ -1,4 +1,4 @@
-"""YOLOv5 v6: CSP-Darknet, SPPF, PAN and three anchor levels, in five sizes.
+"""YOLOv5 v6: CSP-Darknet, SPPF, PAN and three anchor levels, in five sizes; a fourth, finer level on request.
 
 Module names are those of the public checkpoints (``model.N.…``, N from 0 to 24), so that their state dicts load.
 """
@@ -23,13 +23,16 @@ SIZES: dict[Size, tuple[float, float]] = {
     "x": (1.33, 1.25),
 }
 STRIDES = (8, 16, 32)
+FINE_STRIDES = (8, 16, 32, 4)  # the added level comes last, so that the published ones keep their names and rows
 MAX_STRIDE = 32  # sides of the input must be multiples of it
-# Width and height in pixels, three for each level; clustered on COCO by the authors of YOLOv5.
-ANCHORS_PX = (
-    ((10, 13), (16, 30), (33, 23)),
-    ((30, 61), (62, 45), (59, 119)),
-    ((116, 90), (156, 198), (373, 326)),
-)
+# By stride, three (width, height) in pixels; clustered on COCO by the authors of YOLOv5. Those of stride 4 are ours:
+# half of stride 8's, as a cell is half as wide.
+ANCHORS_PX = {
+    8: ((10.0, 13.0), (16.0, 30.0), (33.0, 23.0)),
+    16: ((30.0, 61.0), (62.0, 45.0), (59.0, 119.0)),
+    32: ((116.0, 90.0), (156.0, 198.0), (373.0, 326.0)),
+    4: ((5.0, 6.5), (8.0, 15.0), (16.5, 11.5)),
+}
 
 
 class Conv(nn.Module):
@@ -98,23 +101,38 @@ class SPPF(nn.Module):
         return cast(Tensor, self.cv2(torch.cat(levels, dim=1)))
 
 
+class FineLevel(nn.Module):
+    """The neck's next step up: features of stride 8, enlarged, beside the backbone's of stride 4."""
+
+    def __init__(self, coarse_channels: int, channels: int, repeats: int) -> None:
+        super().__init__()
+        self.reduce = Conv(coarse_channels, channels)
+        self.enlarge = nn.Upsample(scale_factor=2, mode="nearest")
+        self.merge = C3(2 * channels, channels, repeats, shortcut=False)
+
+    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        """(B, coarse, H / 8, W / 8) and (B, C, H / 4, W / 4) → (B, C, H / 4, W / 4)."""
+        return cast(Tensor, self.merge(torch.cat([self.enlarge(self.reduce(coarse)), fine], dim=1)))
+
+
 class Detect(nn.Module):
     """One 1×1 convolution per level: for each cell and anchor a box, an objectness and C classes."""
 
     anchors: Tensor
 
-    def __init__(self, in_channels: Sequence[int], class_count: int) -> None:
+    def __init__(self, in_channels: Sequence[int], strides: Sequence[int], class_count: int) -> None:
         super().__init__()
         self.class_count = class_count
-        anchors_px = torch.tensor(ANCHORS_PX, dtype=torch.float32)
+        self.strides = tuple(strides)
         # In units of each level's cells, as in the public checkpoints.
-        self.register_buffer("anchors", anchors_px / torch.tensor(STRIDES).view(3, 1, 1))
+        anchors = torch.stack([torch.tensor(ANCHORS_PX[stride]) / stride for stride in self.strides])
+        self.register_buffer("anchors", anchors)
         self.m = nn.ModuleList(nn.Conv2d(channels, 3 * (5 + class_count), 1) for channels in in_channels)
         self._start_biases()
 
     def _start_biases(self) -> None:
         """Start with what is known: about 8 objects in an image of 640 px, classes equally rare."""
-        for conv, stride in zip(self.m, STRIDES, strict=True):
+        for conv, stride in zip(self.m, self.strides, strict=True):
             bias = cast(nn.Conv2d, conv).bias
             assert bias is not None
             with torch.no_grad():
@@ -123,7 +141,7 @@ class Detect(nn.Module):
                 rows[:, 5:] += math.log(0.6 / (self.class_count - 0.99999))
 
     def forward(self, features: Sequence[Tensor]) -> list[Tensor]:
-        """Three (B, in, H, W) → three (B, 3, H, W, 5 + C) of logits."""
+        """Per level (B, in, H, W) → (B, 3, H, W, 5 + C) of logits."""
         maps = []
         for conv, feature in zip(self.m, features, strict=True):
             y = conv(feature)
@@ -137,7 +155,7 @@ class Detect(nn.Module):
         Rows run over levels, then anchors, y and x.
         """
         rows = []
-        for level, (logits, stride) in enumerate(zip(maps, STRIDES, strict=True)):
+        for level, (logits, stride) in enumerate(zip(maps, self.strides, strict=True)):
             _, _, height, width, columns = logits.shape
             y, x = torch.meshgrid(
                 torch.arange(height, device=logits.device, dtype=logits.dtype),
@@ -157,7 +175,8 @@ class Detect(nn.Module):
 class YoloV5(nn.Module):
     """The detector network.
 
-    In training mode a call gives three maps (B, 3, H, W, 5 + C) of logits, in eval mode the decoded (B, N, 5 + C).
+    In training mode a call gives a map (B, 3, H, W, 5 + C) of logits per level, in eval mode the decoded
+    (B, N, 5 + C).
 
     Attributes:
         size: One of n, s, m, l, x.
@@ -165,31 +184,37 @@ class YoloV5(nn.Module):
         initial_weights: What its training started from; None if from nothing or not known.
     """
 
-    def __init__(self, size: Size, class_count: int, classes: Sequence[str] = ()) -> None:
+    def __init__(
+        self, size: Size, class_count: int, classes: Sequence[str] = (), *, strides: Sequence[int] = STRIDES
+    ) -> None:
         """Build a network with random weights.
 
         Args:
             size: One of n, s, m, l, x.
             class_count: C.
             classes: Their names; without any they are called by their numbers.
+            strides: Of the levels, pixels: `STRIDES` as published, or `FINE_STRIDES` with one more for small objects.
 
         Raises:
-            ValueError: If there is no class, or the names are not as many as the classes.
+            ValueError: If there is no class, the names are not as many as the classes, or the strides are others.
         """
         super().__init__()
         if class_count < 1 or (classes and len(classes) != class_count):
             raise ValueError(f"class_count must be at least 1 and fit the names, got {class_count} and {len(classes)}")
+        if tuple(strides) not in (STRIDES, FINE_STRIDES):
+            raise ValueError(f"strides must be {STRIDES} or {FINE_STRIDES}, got {tuple(strides)}")
         self.size = size
         self.classes = tuple(classes) or tuple(str(i) for i in range(class_count))
         self.initial_weights: InitialWeights | None = None
         depth, width = SIZES[size]
         c1, c2, c3, c4, c5 = (math.ceil(channels * width / 8) * 8 for channels in (64, 128, 256, 512, 1024))
         few, some, many = (max(round(repeats * depth), 1) for repeats in (3, 6, 9))
+        is_fine = tuple(strides) == FINE_STRIDES
         self.model = nn.ModuleList(
             [
                 Conv(3, c1, kernel=6, stride=2, padding=2),  # 0
                 Conv(c1, c2, kernel=3, stride=2),  # 1
-                C3(c2, c2, few, shortcut=True),  # 2
+                C3(c2, c2, few, shortcut=True),  # 2: stride 4
                 Conv(c2, c3, kernel=3, stride=2),  # 3
                 C3(c3, c3, some, shortcut=True),  # 4: stride 8
                 Conv(c3, c4, kernel=3, stride=2),  # 5
@@ -211,9 +236,10 @@ class YoloV5(nn.Module):
                 Conv(c4, c4, kernel=3, stride=2),  # 21
                 nn.Identity(),  # 22: beside 10
                 C3(2 * c4, c5, few, shortcut=False),  # 23: stride 32 out
-                Detect((c3, c4, c5), class_count),  # 24
+                Detect((c3, c4, c5, c2) if is_fine else (c3, c4, c5), strides, class_count),  # 24
             ]
         )
+        self.fine = FineLevel(c3, c2, few) if is_fine else None
 
     @property
     def detect(self) -> Detect:
@@ -221,18 +247,35 @@ class YoloV5(nn.Module):
         return cast(Detect, self.model[24])
 
     @property
+    def strides(self) -> tuple[int, ...]:
+        """Pixels in a cell of each level, in the order of maps, anchors and rows."""
+        return self.detect.strides
+
+    @property
     def anchors(self) -> Tensor:
-        """(3, 3, 2) levels × anchors × (width, height), in cells of the level."""
+        """(levels, 3, 2) width and height of each level's anchors, in cells of the level."""
         return self.detect.anchors
 
+    @property
+    def anchors_px(self) -> Tensor:
+        """(levels, 3, 2) the same in pixels of the input."""
+        return self.anchors * self._cell_sides()
+
+    def set_anchors(self, anchors_px: Tensor) -> None:
+        """Replace the anchors: (levels, 3, 2) in pixels of the input, levels in the order of `strides`."""
+        self.anchors.copy_(anchors_px.to(self.anchors) / self._cell_sides())
+
+    def _cell_sides(self) -> Tensor:
+        return self.anchors.new_tensor(self.strides).view(-1, 1, 1)
+
     def logits(self, images: Tensor) -> list[Tensor]:
-        """(B, 3, H, W) RGB in [0, 1], sides multiples of 32 → three (B, 3, H / stride, W / stride, 5 + C)."""
+        """(B, 3, H, W) RGB in [0, 1], sides multiples of 32 → per level (B, 3, H / stride, W / stride, 5 + C)."""
         layers = self.model
         x = images
         kept: dict[int, Tensor] = {}
         for i in range(10):
             x = layers[i](x)
-            if i in (4, 6):
+            if i in (2, 4, 6):
                 kept[i] = x
         down32 = layers[10](x)
         x = layers[13](torch.cat([layers[11](down32), kept[6]], dim=1))
@@ -240,7 +283,10 @@ class YoloV5(nn.Module):
         out8 = layers[17](torch.cat([layers[15](down16), kept[4]], dim=1))
         out16 = layers[20](torch.cat([layers[18](out8), down16], dim=1))
         out32 = layers[23](torch.cat([layers[21](out16), down32], dim=1))
-        return self.detect.forward([out8, out16, out32])
+        features = [out8, out16, out32]
+        if self.fine is not None:
+            features.append(self.fine(out8, kept[2]))
+        return self.detect.forward(features)
 
     def forward(self, images: Tensor) -> Tensor | list[Tensor]:
         """See the class."""

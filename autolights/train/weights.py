@@ -88,7 +88,7 @@ def load_checkpoint(path: Path, *, classes: Sequence[str] | None = None) -> Yolo
     known = checkpoint.classes or tuple(classes or ())
     if classes is not None and tuple(classes) != known:
         raise CheckpointError(f"{path}: knows {len(known)} classes {_short(known)}, not {_short(classes)}")
-    model = YoloV5(checkpoint.size, checkpoint.class_count, known)
+    model = YoloV5(checkpoint.size, checkpoint.class_count, known, strides=checkpoint.strides)
     try:
         model.load_state_dict(checkpoint.state)
     except RuntimeError as error:

@@ -18,7 +18,7 @@ def logits(batch=1, classes=3, *, objectness=-20.0, class_logits=0.0):
 
 
 def loss(maps, labels, *, side=640, **gains):
-    return detection_loss([maps], labels, ANCHORS, input_side_px=side, config=LossConfig(**gains))
+    return detection_loss([maps], labels, ANCHORS, strides=(8,), input_side_px=side, config=LossConfig(**gains))
 
 
 def test_a_perfect_answer_costs_nothing():

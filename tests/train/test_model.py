@@ -40,7 +40,7 @@ def test_rows_run_over_levels_anchors_y_and_x():
     assert model(torch.zeros(1, 3, 64, 96)).shape == raw.shape == (1, sum(rows_per_level), 7)
     # Zero logits: the centre of the cell, the anchor's size, probability one half.
     row = raw[0, rows_per_level[0] + 1 * (4 * 6) + 2 * 6 + 5]  # stride 16, anchor 1, y 2, x 5
-    assert row.tolist() == [5.5 * 16, 2.5 * 16, *ANCHORS_PX[1][1], 0.5, 0.5, 0.5]
+    assert row.tolist() == [5.5 * 16, 2.5 * 16, *ANCHORS_PX[16][1], 0.5, 0.5, 0.5]
 
 
 def test_training_mode_gives_logits_that_start_from_the_prior():

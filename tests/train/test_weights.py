@@ -177,7 +177,7 @@ def test_unusable_files_say_why(tmp_path):
         start_from(YoloV5("s", 2), str(path))
     whole = torch.load(path, weights_only=True)
     torch.save({**whole, "format_version": 99}, path)
-    with pytest.raises(CheckpointError, match="format 99 is newer than 1; upgrade autolights"):
+    with pytest.raises(CheckpointError, match="format 99 is newer than 2; upgrade autolights"):
         load_checkpoint(path)
     torch.save({key: value for key, value in whole.items() if key != "state"}, path)
     with pytest.raises(CheckpointError, match="field 'state' is missing"):
