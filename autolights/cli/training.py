@@ -42,17 +42,22 @@ def val(
     data: Annotated[Path, typer.Argument(exists=True, help="YOLO-format folder.")],
     split: Annotated[str, typer.Option(help="Part of the data: train or val.")] = "val",
     long_side: Annotated[int, typer.Option(min=32, help="Long side of the network's input, pixels.")] = 960,
-    score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the confusion matrix.")] = 0.25,
+    score_threshold: Annotated[
+        float, typer.Option(min=0.001, max=0.999, help="Of precision, recall and the confusion matrix.")
+    ] = 0.25,
     classes: Annotated[str, typer.Option(help="Comma-separated class names, for a folder without data.yaml.")] = "",
     val_fraction: Annotated[float, typer.Option(min=0, max=1, help="Share held out of a folder with one part.")] = 0.0,
     group_pattern: Annotated[
         str, typer.Option(help="Regular expression; files with the same first group stay on one side of that split.")
     ] = "",
+    save_predictions: Annotated[
+        bool, typer.Option("--save-predictions", help="Also write predictions.json: COCO results, boxes in pixels.")
+    ] = False,
     out: Out = Path("runs/val"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a detector: COCO metrics and the confusion matrix with background.
+    """Measure a detector: COCO metrics, precision, recall, recall by height, and the confusion matrix.
 
     Writes metrics.json, confusion.json and images.txt (what was measured on) into --out. Splits by --val-fraction and
     --group-pattern are the same as in training with the same values.
@@ -62,7 +67,8 @@ def val(
     """
     from autolights.core.atomic import new_folder
     from autolights.data import load_image_dataset
-    from autolights.train import evaluate_detector, load_checkpoint
+    from autolights.train import detect_dataset, load_checkpoint, metrics_as_text
+    from autolights.train import save_predictions as save
 
     if split not in ("train", "val"):
         raise UsageError(f"--split must be train or val, got {split!r}")
@@ -74,29 +80,19 @@ def val(
         group_pattern=group_pattern or None,
     )
     with new_folder(out, force=force) as folder:
-        metrics = evaluate_detector(
+        detections = detect_dataset(
             load_checkpoint(checkpoint, classes=dataset.classes),
             dataset,
             long_side=long_side,
             score_threshold=score_threshold,
         )
+        metrics = detections.metrics()
         metrics.save(folder / "metrics.json")
         metrics.confusion.save(folder / "confusion.json")
-        (folder / "images.txt").write_text("".join(f"{path}\n" for path in dataset.image_paths))
-    if as_json:
-        typer.echo(json.dumps(metrics.to_json()))
-        return
-    typer.echo(f"{metrics.images} images, {metrics.labels} labels")
-    for name, value in (
-        ("AP", metrics.ap),
-        ("AP50", metrics.ap50),
-        ("AP75", metrics.ap75),
-        ("AP_S", metrics.ap_s),
-        ("AP_M", metrics.ap_m),
-    ):
-        typer.echo(f"{name:6}{value:.3f}")
-    for name, value in metrics.per_class_ap.items():
-        typer.echo(f"  {name:16}{value:.3f}")
+        (folder / "images.txt").write_text("".join(f"{path}\n" for path in detections.image_paths))
+        if save_predictions:
+            save(folder / "predictions.json", detections.image_paths, detections.predictions)
+    typer.echo(json.dumps(metrics.to_json()) if as_json else metrics_as_text(metrics))
 
 
 def export(

@@ -9,33 +9,45 @@ if TYPE_CHECKING:
     from autolights.train.export import ExportReport, export_onnx
     from autolights.train.hmm_fitting import fit_hmm
     from autolights.train.metrics import DetectionMetrics
+    from autolights.train.metrics_table import metrics_as_text
     from autolights.train.model import YoloV5
-    from autolights.train.validate import evaluate_detector
+    from autolights.train.predictions import load_predictions, save_predictions
+    from autolights.train.validate import DatasetDetections, detect_dataset, evaluate_detector
     from autolights.train.weights import load_checkpoint
 
 _HOMES = {
+    "DatasetDetections": "validate",
     "DetectionMetrics": "metrics",
     "ExportReport": "export",
     "TrainConfig": "config",
     "TrainResult": "engine",
     "YoloV5": "model",
+    "detect_dataset": "validate",
     "evaluate_detector": "validate",
     "export_onnx": "export",
     "fit_hmm": "hmm_fitting",
     "load_checkpoint": "weights",
+    "load_predictions": "predictions",
+    "metrics_as_text": "metrics_table",
+    "save_predictions": "predictions",
     "train": "engine",
 }
 
 __all__ = [
+    "DatasetDetections",
     "DetectionMetrics",
     "ExportReport",
     "TrainConfig",
     "TrainResult",
     "YoloV5",
+    "detect_dataset",
     "evaluate_detector",
     "export_onnx",
     "fit_hmm",
     "load_checkpoint",
+    "load_predictions",
+    "metrics_as_text",
+    "save_predictions",
     "train",
 ]
 

@@ -1,4 +1,4 @@
-"""How good a detector is: COCO's average precision, as in the paper's Table II."""
+"""All figures of one validation, and the file that holds them."""
 
 import math
 from collections.abc import Sequence
@@ -7,173 +7,103 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from faster_coco_eval import COCO, COCOeval_faster
 
-from autolights.core import ConfusionMatrix, FloatArray, IntArray
-from autolights.core.boxes import area
+from autolights.core import ConfusionMatrix, FloatArray
 from autolights.core.json_files import write_json
-
-MAX_DETECTIONS = 100  # best per image and class that COCO counts
-_AREAS = ("all", "small", "medium")  # px² of the original image: any, below 32², 32² to 96²
-_AREA_RANGES = ((0.0, 1e10), (0.0, 32.0**2), (32.0**2, 96.0**2))
+from autolights.train.average_precision import AveragePrecision
+from autolights.train.operating_point import HeightBand, ThresholdSweep
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
-    """The truth of one image: (n, 4) boxes in pixels of the original image and (n,) class indices."""
-
-    boxes_xyxy: FloatArray
-    class_ids: IntArray
-
-
-@dataclass(frozen=True, eq=False)
-class Predictions:
-    """What a detector said about one image: (m, 4) boxes in pixels, (m,) class indices, (m,) scores."""
-
-    boxes_xyxy: FloatArray
-    class_ids: IntArray
-    scores: FloatArray
-
-
-@dataclass(frozen=True)
-class AveragePrecision:
-    """Areas under precision-recall curves, in [0, 1]; NaN where there is no truth to find.
+class DetectionMetrics(AveragePrecision):
+    """Average precision, and how the runtime does at its score threshold.
 
     Attributes:
-        ap: Mean over IoU .50 to .95 in steps of .05, then over the classes that have truth.
-        ap50: At IoU .50.
-        ap75: At IoU .75.
-        ap_s: Of boxes below 32² px.
-        ap_m: Of boxes from 32² to 96² px.
-        per_class_ap: As `ap`, by class name; classes without truth are left out.
-    """
-
-    ap: float
-    ap50: float
-    ap75: float
-    ap_s: float
-    ap_m: float
-    per_class_ap: dict[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class DetectionMetrics:
-    """All figures of one validation: the fields of `AveragePrecision`, on how much, and the confusion matrix.
-
-    Attributes:
-        ap: See `AveragePrecision`, as the next five.
-        ap50: See there.
-        ap75: See there.
-        ap_s: See there.
-        ap_m: See there.
-        per_class_ap: See there.
         images: How many were looked at.
         labels: How many boxes they hold.
-        confusion: Counted the way the runtime detects.
+        confusion: Counted the way the runtime detects; it says at which score and overlap. Precision and recall are
+            read from it.
+        heights: Which lights were found at that threshold, by their height.
+        sweep: Precision and recall at other thresholds.
+        unreadable: Names of image files that do not decode and were left out.
     """
 
-    ap: float
-    ap50: float
-    ap75: float
-    ap_s: float
-    ap_m: float
-    per_class_ap: dict[str, float]
     images: int
     labels: int
     confusion: ConfusionMatrix
+    heights: tuple[HeightBand, ...]
+    sweep: ThresholdSweep
+    unreadable: tuple[str, ...] = ()
+
+    @property
+    def precision(self) -> float:
+        """Share of all detections whose light is there and of the class they say; NaN without a detection."""
+        return _share(np.trace(self._right), self.confusion.counts[:, :-1].sum())
+
+    @property
+    def recall(self) -> float:
+        """Share of all labels that were detected with their class; NaN without labels."""
+        return _share(np.trace(self._right), self.confusion.counts[:-1].sum())
+
+    @property
+    def per_class_precision(self) -> dict[str, float]:
+        """As `precision`, by class name; every class is there."""
+        return self._per_class(self.confusion.counts[:, :-1].sum(axis=0))
+
+    @property
+    def per_class_recall(self) -> dict[str, float]:
+        """As `recall`, by class name; every class is there."""
+        return self._per_class(self.confusion.counts[:-1].sum(axis=1))
 
     def to_json(self) -> dict[str, Any]:
-        """The figures as JSON-ready values, rounded to 5 digits; NaN becomes null. The confusion matrix stays out."""
-        figures = {name: _rounded(getattr(self, name)) for name in ("ap", "ap50", "ap75", "ap_s", "ap_m")}
-        per_class = {name: _rounded(value) for name, value in self.per_class_ap.items()}
-        return {**figures, "per_class": per_class, "images": self.images, "labels": self.labels}
+        """The figures as JSON-ready values, rounded to 5 digits; NaN becomes null.
+
+        Curves and the confusion matrix stay out: checkpoints and bundles carry these figures.
+        """
+        best_threshold, best_f1 = self.sweep.best
+        return {
+            **{name: _rounded(getattr(self, name)) for name in ("ap", "ap50", "ap75", "ap_s", "ap_m")},
+            "per_class": _all_rounded(self.per_class_ap),
+            "per_class_ap50": _all_rounded(self.per_class_ap50),
+            "images": self.images,
+            "labels": self.labels,
+            "score_threshold": self.confusion.score_threshold,
+            "iou_threshold": self.confusion.iou_threshold,
+            "precision": _rounded(self.precision),
+            "recall": _rounded(self.recall),
+            "per_class_precision": _all_rounded(self.per_class_precision),
+            "per_class_recall": _all_rounded(self.per_class_recall),
+            "recall_by_height_px": {
+                band.name: {"labels": band.labels, "recall": _rounded(band.recall)} for band in self.heights
+            },
+            "best_threshold": best_threshold,
+            "best_f1": _rounded(best_f1),
+            "unreadable": list(self.unreadable),
+        }
 
     def save(self, path: Path) -> None:
         """Write ``metrics.json``."""
         write_json(path, self.to_json())
 
+    @property
+    def _right(self) -> FloatArray:
+        return self.confusion.counts[:-1, :-1].astype(np.float64)
 
-def average_precision(
-    labels: Sequence[Labels], predictions: Sequence[Predictions], classes: Sequence[str]
-) -> AveragePrecision:
-    """Score predictions against labels as COCO does.
-
-    Args:
-        labels: One entry per image.
-        predictions: One entry per image, in the same order; at most 100 per image and class count.
-        classes: Names by class index.
-
-    Returns:
-        Averages; a class without truth (in a size range) does not take part (in that range).
-
-    Raises:
-        ValueError: If there are not as many predictions as labels.
-
-    References:
-        Lin et al. 2014, "Microsoft COCO"; the digits are those of pycocotools.
-    """
-    if len(labels) != len(predictions):
-        raise ValueError(f"predictions must cover the {len(labels)} labelled images, got {len(predictions)}")
-    if not any(len(image.boxes_xyxy) for image in labels):
-        return AveragePrecision(math.nan, math.nan, math.nan, math.nan, math.nan, {})
-    truth = COCO(_coco_truth(labels, classes))
-    evaluation = COCOeval_faster(truth, truth.loadRes(_coco_results(predictions)), iouType="bbox")
-    evaluation.params.maxDets = [MAX_DETECTIONS]
-    evaluation.params.areaRng = [list(bounds) for bounds in _AREA_RANGES]
-    evaluation.params.areaRngLbl = list(_AREAS)
-    evaluation.evaluate()
-    evaluation.accumulate()
-    # (IoU thresholds, recalls, classes, areas, maxDets); -1 where there is no truth
-    precision = np.asarray(evaluation.eval["precision"])[..., 0]
-    by_class = {name: _mean(precision[:, :, i, 0]) for i, name in enumerate(classes)}
-    return AveragePrecision(
-        ap=_mean(precision[..., 0]),
-        ap50=_mean(precision[0, ..., 0]),
-        ap75=_mean(precision[5, ..., 0]),
-        ap_s=_mean(precision[..., 1]),
-        ap_m=_mean(precision[..., 2]),
-        per_class_ap={name: value for name, value in by_class.items() if not math.isnan(value)},
-    )
+    def _per_class(self, totals: Sequence[int]) -> dict[str, float]:
+        rights = np.diagonal(self._right)
+        return {
+            name: _share(right, total)
+            for name, right, total in zip(self.confusion.classes, rights, totals, strict=True)
+        }
 
 
-def _coco_truth(labels: Sequence[Labels], classes: Sequence[str]) -> dict[str, Any]:
-    """COCO's annotation format; image and category ids are one more than the indices."""
-    annotations: list[dict[str, Any]] = []
-    for image_id, image in enumerate(labels, start=1):
-        rows = zip(image.boxes_xyxy.tolist(), image.class_ids.tolist(), area(image.boxes_xyxy).tolist(), strict=True)
-        for (left, top, right, bottom), class_id, area_px in rows:
-            annotations.append(
-                {
-                    "id": len(annotations) + 1,
-                    "image_id": image_id,
-                    "category_id": class_id + 1,
-                    "bbox": [left, top, right - left, bottom - top],
-                    "area": area_px,
-                    "iscrowd": 0,
-                }
-            )
-    return {
-        "images": [{"id": i} for i in range(1, len(labels) + 1)],
-        "categories": [{"id": i, "name": name} for i, name in enumerate(classes, start=1)],
-        "annotations": annotations,
-    }
-
-
-def _coco_results(predictions: Sequence[Predictions]) -> FloatArray:
-    """(n, 7) rows of image id, left, top, width, height, score, category id."""
-    columns = [np.empty((0, 7))]
-    for image_id, image in enumerate(predictions, start=1):
-        boxes = image.boxes_xyxy
-        ids = np.full((len(boxes), 1), image_id)
-        scores, categories = image.scores[:, None], image.class_ids[:, None] + 1
-        columns.append(np.concatenate([ids, boxes[:, :2], boxes[:, 2:] - boxes[:, :2], scores, categories], axis=1))
-    return np.concatenate(columns, dtype=np.float64)
-
-
-def _mean(precision: FloatArray) -> float:
-    counted = precision[precision > -1]
-    return float(counted.mean()) if counted.size else math.nan
+def _share(part: float, whole: float) -> float:
+    return float(part / whole) if whole else math.nan
 
 
 def _rounded(value: float) -> float | None:
     return None if math.isnan(value) else round(value, 5)
+
+
+def _all_rounded(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: _rounded(value) for name, value in values.items()}

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -9,8 +9,10 @@ from torch import nn
 from autolights.core.errors import DataError, UsageError
 from autolights.data.image_dataset import ImageDataset
 from autolights.infer.letterbox import Letterbox, rectangle_for
-from autolights.train.metrics import Labels, average_precision
-from autolights.train.validate import decode_every_class, evaluate_detector
+from autolights.train.average_precision import average_precision
+from autolights.train.predictions import Labels
+from autolights.train.processes import Processes
+from autolights.train.validate import decode_every_class, detect_dataset, evaluate_detector
 
 CLASSES = ("3-red", "3-green", "3-yellow")
 LONG_SIDE = 96
@@ -151,8 +153,49 @@ def test_network_of_other_classes(street):
         evaluate_detector(OneClass(), street, long_side=LONG_SIDE, progress=False)
 
 
-def test_broken_image_is_named(street):
+def test_too_many_broken_images_are_named(street):
     street.image_paths[2].write_bytes(b"no image")
 
-    with pytest.raises(DataError, match=r"2\.png"):
-        evaluate_detector(KnowsTheAnswers(street, RIGHT), street, long_side=LONG_SIDE, progress=False)
+    with pytest.raises(
+        DataError, match=r"1 of 4 validation images do not decode: .*2\.png; bad_images allows .* 0\.2;"
+    ):
+        evaluate_detector(KnowsTheAnswers(street, RIGHT), street, long_side=LONG_SIDE, bad_images=0.2, progress=False)
+
+
+def test_some_broken_images_are_left_out_with_their_labels(street, capsys):
+    street.image_paths[3].write_bytes(b"no image")
+
+    metrics = evaluate_detector(
+        KnowsTheAnswers(street, RIGHT), street, long_side=LONG_SIDE, bad_images=0.25, progress=False
+    )
+
+    assert (metrics.ap, metrics.images, metrics.labels, metrics.unreadable) == (1, 3, 3, ("3.png",))
+    assert "3.png; left out" in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
+class InTurn(Processes):
+    """Run one after the other; the last one gathers what all have seen."""
+
+    values: list[object] = field(default_factory=list)
+
+    def gather(self, value):
+        self.values.append(value)
+        return list(self.values)
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_several_processes_measure_what_one_does(street, size):
+    street.image_paths[2].write_bytes(b"no image")
+    model = KnowsTheAnswers(street, RIGHT | {3: [[50, 60, 61, 80, 0.2, 0, 1, 0]]})
+    options = {"long_side": LONG_SIDE, "bad_images": 0.3, "progress": False}
+    values: list[object] = []
+
+    shares = [detect_dataset(model, street, processes=InTurn(rank, size, values), **options) for rank in range(size)]
+
+    alone, together = detect_dataset(model, street, **options), shares[-1]
+    assert shares[0].indices == ((0,) if size == 2 else (0, 3))  # 2 does not decode
+    assert (together.indices, together.unreadable) == (alone.indices, alone.unreadable) == ((0, 1, 3), (2,))
+    for a, b in zip(together.predictions, alone.predictions, strict=True):
+        np.testing.assert_array_equal(a.boxes_xyxy, b.boxes_xyxy)
+    assert together.metrics().to_json() == alone.metrics().to_json()
