@@ -1,11 +1,12 @@
 """Labelled images in the YOLO layout: a folder of images beside a folder of text files."""
 
+import dataclasses
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import cv2
 import numpy as np
@@ -16,33 +17,9 @@ from autolights.core.config import read_yaml
 from autolights.core.errors import DataError, UsageError
 from autolights.core.image_files import IMAGE_ENDINGS
 from autolights.core.progress import say
+from autolights.data.image_labels import LabelWarnings, read_labels
 
 Split = Literal["train", "val"]
-
-_OUTSIDE_TOLERANCE = 1e-6  # fractions: six printed decimals round a touching box this far out
-
-
-@dataclass(frozen=True)
-class LabelWarnings:
-    """What was unusual in the labels but could be used.
-
-    Attributes:
-        without_label_file: Images that have none and count as background.
-        clipped_boxes: Boxes that left the image and were cut at its edges.
-        dropped_boxes: Boxes without area, as given or once cut.
-    """
-
-    without_label_file: int = 0
-    clipped_boxes: int = 0
-    dropped_boxes: int = 0
-
-    def __str__(self) -> str:
-        parts = (
-            (self.without_label_file, "images without a label file (taken as background)"),
-            (self.clipped_boxes, "boxes cut at the image's edge"),
-            (self.dropped_boxes, "boxes without area dropped"),
-        )
-        return ", ".join(f"{count} {what}" for count, what in parts if count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +42,7 @@ class ImageDataset:
     class_ids: tuple[IntArray, ...]
     boxes_cxcywh: tuple[FloatArray, ...]
     signals: str = ""
-    warnings: LabelWarnings = LabelWarnings()
+    warnings: LabelWarnings = field(default_factory=LabelWarnings)
 
     def __post_init__(self) -> None:
         if not len(self.image_paths) == len(self.class_ids) == len(self.boxes_cxcywh):
@@ -79,14 +56,53 @@ class ImageDataset:
         """Labels of all images together."""
         return sum(len(ids) for ids in self.class_ids)
 
+    @property
+    def class_counts(self) -> IntArray:
+        """(C,) labels of each class."""
+        ids = np.concatenate([np.empty(0, dtype=np.int64), *self.class_ids])
+        return np.bincount(ids, minlength=len(self.classes))
+
+    @property
+    def empty_classes(self) -> tuple[str, ...]:
+        """Classes that have no label here."""
+        return tuple(name for name, count in zip(self.classes, self.class_counts, strict=True) if not count)
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of the images' names and sizes and of all labels.
+
+        Times of change are left out, so that a copy on another machine is the same data.
+        """
+        digest = hashlib.sha256(repr(self.classes).encode())
+        for path, ids, boxes in zip(self.image_paths, self.class_ids, self.boxes_cxcywh, strict=True):
+            size = path.stat().st_size if path.is_file() else -1
+            digest.update(f"{path.name}|{size}|".encode())
+            digest.update(ids.astype("<i8").tobytes() + boxes.astype("<f8").tobytes())
+        return digest.hexdigest()
+
+    def subset(self, indices: Sequence[int]) -> Self:
+        """Only these images, in this order."""
+        return dataclasses.replace(
+            self,
+            image_paths=tuple(self.image_paths[i] for i in indices),
+            class_ids=tuple(self.class_ids[i] for i in indices),
+            boxes_cxcywh=tuple(self.boxes_cxcywh[i] for i in indices),
+        )
+
     def read(self, index: int) -> ImageArray:
         """Decode one image, BGR.
 
         Raises:
-            DataError: If the file is missing or does not decode.
+            DataError: If the file is missing, does not decode or ends too early.
         """
         path = self.image_paths[index]
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        try:
+            # Not imread: that fills what a truncated JPEG lacks with grey, where imdecode refuses it.
+            image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        except cv2.error:  # an empty file
+            image = None
         if image is None:
             raise DataError(f"{path}: not an image that can be decoded; replace or delete it")
         return np.asarray(image, dtype=np.uint8)
@@ -212,27 +228,21 @@ def _with_labels(
     labels = _label_folder(images)
     if not labels.is_dir():
         raise UsageError(f"{labels}: no such folder; the labels of {images} belong there")
-    class_ids: list[IntArray] = []
-    boxes: list[FloatArray] = []
-    missing = clipped = dropped = 0
-    for path in paths:
-        label_path = labels / f"{path.stem}.txt"
-        rows = _read_labels(label_path, len(names))
-        missing += rows is None
-        ids, corners = rows if rows is not None else (np.empty(0, np.int64), np.empty((0, 4)))
-        inside = np.clip(corners, 0.0, 1.0)
-        clipped += int((np.abs(inside - corners) > _OUTSIDE_TOLERANCE).any(axis=1).sum())
-        sides = inside[:, 2:] - inside[:, :2]
-        solid = (sides > 0).all(axis=1)
-        dropped += int((~solid).sum())
-        class_ids.append(ids[solid])
-        boxes.append(np.concatenate([inside[:, :2] + sides / 2, sides], axis=1)[solid])
-    if missing == len(paths):
+    read = [read_labels(labels / f"{path.stem}.txt", len(names)) for path in paths]
+    warnings = sum((of_image.warnings for of_image in read), LabelWarnings())
+    if warnings.without_label_file == len(paths):
         raise UsageError(f"{labels}: holds no label file for any of the {len(paths)} images in {images}")
-    warnings = LabelWarnings(missing, clipped, dropped)
     if str(warnings):
         say(f"{images}: {warnings}")
-    return ImageDataset(folder, names, tuple(paths), tuple(class_ids), tuple(boxes), signals, warnings)
+    return ImageDataset(
+        root=folder,
+        classes=names,
+        image_paths=tuple(paths),
+        class_ids=tuple(of_image.class_ids for of_image in read),
+        boxes_cxcywh=tuple(of_image.boxes_cxcywh for of_image in read),
+        signals=signals,
+        warnings=warnings,
+    )
 
 
 def _label_folder(images: Path) -> Path:
@@ -245,45 +255,3 @@ def _label_folder(images: Path) -> Path:
     raise UsageError(
         f"{images}: some part of the path must be called 'images', so that 'labels' can be found beside it"
     )
-
-
-def _read_labels(path: Path, class_count: int) -> tuple[IntArray, FloatArray] | None:
-    """(n,) classes and (n, 4) corners as fractions, or None if there is no file.
-
-    A row of a class and at least three points outlines a shape; the box around it is taken.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read ({error})") from error
-    ids: list[int] = []
-    corners: list[FloatArray] = []
-    for number, line in enumerate(lines, start=1):
-        fields = line.split()
-        if not fields:
-            continue
-        try:
-            values = np.array(fields, dtype=np.float64)
-        except ValueError as error:
-            raise DataError(f"{path}:{number}: must hold numbers only, got {line!r}") from error
-        is_box, is_outline = len(values) == 5, len(values) >= 7 and len(values) % 2 == 1
-        if not (is_box or is_outline) or not np.isfinite(values).all():
-            raise DataError(
-                f"{path}:{number}: must read 'class centre_x centre_y width height' or 'class x y x y x y ...', "
-                f"got {line!r}"
-            )
-        if values[0] != int(values[0]) or not 0 <= values[0] < class_count:
-            raise DataError(f"{path}:{number}: class must be 0 to {class_count - 1}, got {fields[0]}")
-        if is_box and ((values[3:] < 0).any() or np.abs(values[1:]).max() > 10):
-            raise DataError(
-                f"{path}:{number}: width and height must not be negative and all be fractions of the image, "
-                f"not pixels; got {line!r}"
-            )
-        ids.append(int(values[0]))
-        points = values[1:].reshape(-1, 2)
-        corners.append(
-            xyxy_from_cxcywh(values[1:]) if is_box else np.concatenate([points.min(axis=0), points.max(axis=0)])
-        )
-    return np.array(ids, dtype=np.int64), np.array(corners, dtype=np.float64).reshape(-1, 4)

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import cv2
@@ -6,6 +7,7 @@ import pytest
 
 from autolights.core.errors import DataError, UsageError
 from autolights.data import load_image_dataset
+from autolights.data.image_labels import LabelWarnings
 
 SHARED = Path(__file__).parents[2].parent / "shared"
 CLASSES = ["green", "red"]
@@ -53,13 +55,14 @@ def test_oddities_are_counted_and_repaired(tmp_path: Path, capsys: pytest.Captur
         "outside": "0 0.0 0.5 0.5 0.5\n1 1.5 0.5 0.2 0.2\n",
         "unlabelled": None,
         "outline": "0 0.1 0.2 0.3 0.2 0.3 0.6 0.2 0.7 0.1 0.6",
+        "twice": "1 0.5 0.5 0.2 0.2\n0 0.5 0.5 0.2 0.2\n1 0.50 0.5 0.2 0.2\n",
     }
     dataset = load_image_dataset(write_folder(tmp_path, labels), "train", classes=CLASSES)
 
-    warnings = dataset.warnings
-    assert (warnings.without_label_file, warnings.clipped_boxes, warnings.dropped_boxes) == (1, 2, 1)
+    assert dataset.warnings == LabelWarnings(without_label_file=1, clipped_boxes=2, dropped_boxes=1, duplicate_boxes=1)
     np.testing.assert_allclose(dataset.boxes_cxcywh[1], [[0.125, 0.5, 0.25, 0.5]])
     np.testing.assert_allclose(dataset.boxes_cxcywh[0], [[0.2, 0.45, 0.2, 0.5]])
+    assert dataset.class_ids[2].tolist() == [1, 0]
     assert "2 boxes cut at the image's edge" in capsys.readouterr().err
 
 
@@ -74,6 +77,7 @@ def test_oddities_are_counted_and_repaired(tmp_path: Path, capsys: pytest.Captur
         pytest.param("0 .5 .5 -.2 .5", r"a\.txt:2: ", id="negative-width"),
         pytest.param("0.5 .5 .5 .5 .5", r"a\.txt:2: class must be 0 to 1, got 0\.5", id="half-a-class"),
         pytest.param("0 20 10 8 8", r"a\.txt:2: .*fractions of the image, not pixels", id="pixels"),
+        pytest.param("0 20 10 28 10 28 18", r"a\.txt:2: .*fractions of the image, not pixels", id="outline-in-pixels"),
     ],
 )
 def test_bad_label_line_is_named(tmp_path: Path, line: str, message: str) -> None:
@@ -83,12 +87,49 @@ def test_bad_label_line_is_named(tmp_path: Path, line: str, message: str) -> Non
         load_image_dataset(folder, "train", classes=CLASSES)
 
 
-def test_image_that_does_not_decode_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", [".jpg", ".png", ".bmp"])
+@pytest.mark.parametrize("kept", [0.0, 0.6, 0.99], ids=["empty", "half", "end-missing"])
+def test_image_that_is_not_whole_is_named(tmp_path: Path, ending: str, kept: float) -> None:
     folder = write_folder(tmp_path, {"a": ""})
-    (folder / "images/train/a.png").write_bytes(b"not a picture")
+    whole = cv2.imencode(ending, np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8))[1].tobytes()
+    (folder / "images/train/a.png").write_bytes(whole[: int(kept * len(whole))])
 
     with pytest.raises(DataError, match=r"a\.png: not an image"):
         load_image_dataset(folder, "train", classes=CLASSES).read(0)
+
+
+def test_image_that_went_away_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, {"a": ""})
+    dataset = load_image_dataset(folder, "train", classes=CLASSES)
+    (folder / "images/train/a.png").unlink()
+
+    with pytest.raises(DataError, match=r"a\.png: cannot be read \(No such file"):
+        dataset.read(0)
+
+
+def test_classes_without_labels_are_known(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, {"a": "1 .5 .5 .1 .1\n1 .2 .2 .1 .1", "b": ""})
+    dataset = load_image_dataset(folder, "train", classes=[*CLASSES, "off"])
+
+    assert dataset.class_counts.tolist() == [0, 2, 0]
+    assert dataset.empty_classes == ("green", "off")
+    assert dataset.subset([1]).empty_classes == ("green", "red", "off")
+
+
+def test_fingerprint_follows_content_not_place(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "here", {"a": "1 .5 .5 .1 .1", "b": ""})
+    shutil.copytree(folder, tmp_path / "there")
+
+    def fingerprint(place: str) -> str:
+        return load_image_dataset(tmp_path / place, "train", classes=CLASSES).fingerprint
+
+    first = fingerprint("here")
+    assert fingerprint("there") == first
+    (tmp_path / "there/labels/train/a.txt").write_text("0 .5 .5 .1 .1")
+    assert fingerprint("there") != first
+    with (tmp_path / "here/images/train/b.png").open("ab") as image:
+        image.write(b"more")
+    assert fingerprint("here") != first
 
 
 def test_missing_parts_say_what_was_expected(tmp_path: Path) -> None:
