@@ -1,6 +1,7 @@
 """The verbs that make a bundle: train, val, export, fit-hmm, bundle."""
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,23 +16,30 @@ def train(
     overrides: Overrides = None,
     out: Out = Path("runs/train"),
     force: Force = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the run in --out; begin if it has no whole epoch yet.")
+    ] = False,
 ) -> None:
     """Train a detector on a YOLO-format folder.
 
-    Writes best.pt, last.pt, config.yaml, results.csv, metrics.json and TensorBoard curves into --out.
+    Writes best.pt, last.pt, config.yaml, results.csv, metrics.json, pictures and TensorBoard curves into --out, and
+    state.pt, from which --resume goes on as if the run had never been stopped.
 
     \b
     Examples:
       autolights train train/demo data=runs/images --out runs/train
       autolights train train/photos data=photos weights=yolov5n.pt epochs=20 --out runs/photos
+      autolights train runs/photos/config.yaml --out runs/photos --resume
+      torchrun --nproc-per-node 2 -m autolights train train/photos data=photos device=cuda
       tensorboard --logdir runs/train/tensorboard
     """
     from autolights.core import load_config
     from autolights.train import TrainConfig
     from autolights.train import train as train_detector
 
-    result = train_detector(load_config(config, TrainConfig, overrides or ()), out, force=force)
-    typer.echo(result.best_path)
+    result = train_detector(load_config(config, TrainConfig, overrides or ()), out, force=force, resume=resume)
+    if os.environ.get("RANK", "0") == "0":  # of torchrun's processes one speaks
+        typer.echo(result.best_path)
 
 
 def val(

@@ -5,15 +5,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast, get_args
 
-import torch
 from pydantic import ValidationError
 from torch import Tensor
 
 import autolights
-from autolights.core.atomic import new_file
 from autolights.core.bundle import InitialWeights
 from autolights.core.errors import CheckpointError
 from autolights.train.model import FINE_STRIDES, STRIDES, Size
+from autolights.train.tensor_file import save_tensors
 
 FORMAT = "autolights-checkpoint"
 FORMAT_VERSION = 2  # 1 had no strides
@@ -52,6 +51,9 @@ class Checkpoint:
         """Write the checkpoint atomically, weights in half precision.
 
         Running means and variances keep theirs: a variance may exceed what half precision can hold.
+
+        Raises:
+            TrainingError: If the disk is full; an earlier checkpoint at `path` is still there.
         """
         half = {
             name: tensor.half() if tensor.is_floating_point() and not _is_statistic(name) else tensor
@@ -70,8 +72,7 @@ class Checkpoint:
             "config": self.config,
             "strides": list(self.strides),
         }
-        with new_file(path) as temporary:
-            torch.save(values, temporary)
+        save_tensors(values, path)
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any], path: Path) -> "Checkpoint":

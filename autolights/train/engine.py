@@ -1,40 +1,41 @@
 """A training run from configuration to best checkpoint: the loop to read in one sitting."""
 
 import math
-import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import torch
-from torch.optim import Optimizer
 
-import autolights
-from autolights.core import IntArray, load_signals
 from autolights.core.atomic import refuse_existing
-from autolights.core.config import save_config
-from autolights.core.errors import TrainingError, UsageError
+from autolights.core.errors import AutolightsError, TrainingError
 from autolights.core.progress import say, track
-from autolights.data.image_dataset import ImageDataset, load_image_dataset
-from autolights.train.augment import mirror_table
-from autolights.train.checkpoint import Checkpoint
+from autolights.data.image_dataset import ImageDataset
 from autolights.train.config import TrainConfig
-from autolights.train.dataset import TrainingSamples
-from autolights.train.ema import WeightAverage
-from autolights.train.loader import Batch, BatchLoader
-from autolights.train.loss import detection_loss
+from autolights.train.distributed import copy_from_main, join_processes, told_by_main
+from autolights.train.environment import describe_environment
+from autolights.train.loader import Batch
 from autolights.train.metrics import DetectionMetrics
-from autolights.train.model import YoloV5
-from autolights.train.optimizer import build_optimizer, set_rates
-from autolights.train.run_log import EpochRow, RunLog
-from autolights.train.schedule import Schedule
+from autolights.train.out_of_memory import advise
+from autolights.train.pictures import draw_batch
+from autolights.train.preparation import (
+    TrainingData,
+    build_model,
+    check_feasible,
+    initialise,
+    load_training_data,
+    schedule_of,
+    start,
+)
+from autolights.train.processes import Processes
+from autolights.train.run_folder import BEST, LAST, STATE, RunFolder
+from autolights.train.run_log import EpochRow
+from autolights.train.run_state import Best, RunState, SavedState
+from autolights.train.steps import Steps
 from autolights.train.validate import evaluate_detector
-from autolights.train.weights import start_from
 
-BEST, LAST, CONFIG, METRICS = "best.pt", "last.pt", "config.yaml", "metrics.json"
-_OUTPUTS = (BEST, LAST, CONFIG, METRICS, "results.csv", "tensorboard")
 _NAMED_FILES = 8  # of a batch, in an error
 
 
@@ -46,220 +47,192 @@ class TrainResult:
         best_path: Checkpoint of the epoch with the best figures.
         last_path: Checkpoint of the last epoch.
         best_epoch: Which one that was, from 1.
-        metrics: The best epoch's figures.
-        seconds: How long the run took.
+        metrics: The best epoch's figures, as in ``metrics.json``.
+        seconds: How long it took, since it was started or resumed.
     """
 
     best_path: Path
     last_path: Path
     best_epoch: int
-    metrics: DetectionMetrics
+    metrics: dict[str, Any]
     seconds: float
 
 
-@dataclass(eq=False)
-class _State:
-    """All that changes from step to step."""
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What stays the same from epoch to epoch, and the state that does not.
 
-    model: YoloV5
-    average: WeightAverage
-    optimizer: Optimizer
-    schedule: Schedule
-    step: int = 0
-    summed_batches: int = 0  # since the optimiser's last step
+    `folder` is None in all processes but the main one.
+    """
+
+    config: TrainConfig
+    data: TrainingData
+    state: RunState
+    steps: Steps
+    processes: Processes
+    device: torch.device
+    folder: RunFolder | None
 
 
-def train(config: TrainConfig, out_dir: Path, *, force: bool = False) -> TrainResult:
-    """Train a detector.
+def train(config: TrainConfig, out_dir: Path, *, force: bool = False, resume: bool = False) -> TrainResult:
+    """Train a detector; under torchrun together with the other processes.
 
     Args:
         config: Of the run.
-        out_dir: Gets ``best.pt``, ``last.pt`` (both with averaged weights), ``config.yaml``, ``results.csv``,
-            ``metrics.json`` (of the best epoch) and ``tensorboard/``.
-        force: Replace an earlier run in `out_dir`.
+        out_dir: Gets ``best.pt`` and ``last.pt`` (averaged weights), ``state.pt`` (to go on from), ``config.yaml``,
+            ``environment.json``, ``results.csv``, ``metrics.json`` (of the best epoch), pictures and ``tensorboard/``.
+            Only the main process needs to see it.
+        force: Replace an earlier run in `out_dir`, once the first epoch is done.
+        resume: Go on with the run in `out_dir` as if it had never been stopped; if it has no whole epoch yet, begin.
 
     Returns:
         Where the best checkpoint lies and how good it is.
 
     Raises:
-        UsageError: If data or weights are missing, or `out_dir` exists and `force` is not set.
-        DataError: If a label or image breaks its format.
-        TrainingError: If the loss is no longer finite; the last whole epoch's checkpoint stays.
-        KeyboardInterrupt: When interrupted; the last whole epoch's checkpoint stays.
+        UsageError: If data or weights are missing, `out_dir` exists and neither `force` nor `resume` is set, or the run
+            to go on with had other settings.
+        DataError: If a label breaks its format, too many images do not decode, or data have changed since the run to
+            go on with began.
+        TrainingError: If the loss is no longer finite, the disk is full or the GPU's memory runs out; what the last
+            whole epoch has left stays.
+        KeyboardInterrupt: When interrupted; likewise.
     """
     started = time.monotonic()
-    refuse_existing(out_dir, force=force)
-    device = _device(config)
-    if config.threads:
-        torch.set_num_threads(config.threads)
-    torch.manual_seed(config.seed)
-    images, held_out = _load(config, "train"), _load(config, "val")
-    say(f"{len(images)} images with {images.label_count} labels to train on, {len(held_out)} held out")
-    model = YoloV5(config.size, len(images.classes), images.classes)
-    if config.weights:
-        say(f"{config.weights}: {start_from(model, config.weights)}")
-    samples = TrainingSamples(images, _mirrors(config, images), config)
-    loader = BatchLoader(samples, config)
-    state = _start(model.to(device).to(memory_format=torch.channels_last), config, len(loader))
-    _clear(out_dir)
-    save_config(config, out_dir / CONFIG, comment=f"autolights {autolights.__version__}")
-
-    best: tuple[float, int, DetectionMetrics] | None = None
-    epoch = 0
-    with RunLog(out_dir) as log:
+    with join_processes(config.device) as (processes, device):
+        check_feasible(config, processes, device)
+        saved = told_by_main(_saved_state(out_dir, config, force, resume) if processes.is_main else None, processes)
+        if saved and _is_over(saved.epoch, saved.best, config):
+            say(f"{out_dir}: this run is finished, after epoch {saved.epoch} of {config.epochs}; nothing to do")
+            return _result(out_dir, saved.best, started)
+        run = _prepare(config, out_dir, saved, processes, device)
         try:
-            for epoch in range(1, config.epochs + 1):
-                epoch_started = time.monotonic()
-                losses = _train_epoch(state, loader, samples.images, config, log, epoch)
-                metrics = _validate(state, held_out, config) if _validates(config, epoch) else None
-                checkpoint = _checkpoint(state.average.model, config, epoch, metrics)
-                checkpoint.save(out_dir / LAST)
-                if metrics and (best is None or _fitness(metrics) >= best[0]):
-                    best = (_fitness(metrics), epoch, metrics)
-                    checkpoint.save(out_dir / BEST)
-                    metrics.save(out_dir / METRICS)
-                rate = state.schedule.at(state.step - 1).rate
-                row = EpochRow(epoch, rate, *losses, metrics, time.monotonic() - epoch_started)
-                log.epoch(row)
-                say(_summary(row, config.epochs))
-        except (KeyboardInterrupt, TrainingError):
-            if epoch > 1:
-                kept = f"{out_dir / LAST} holds epoch {epoch - 1}"
-            else:
-                _clear(out_dir)
-                kept = "no epoch was finished, nothing is kept"
-            say(f"stopped in epoch {epoch} of {config.epochs}; {kept}")
+            while not _is_over(run.state.epoch, run.state.best, config):
+                _train_and_validate(run, run.state.epoch + 1)
+        except (KeyboardInterrupt, SystemExit, AutolightsError):
+            done = run.folder.epochs_kept if run.folder else 0
+            kept = f"{out_dir} holds epoch {done}, go on with --resume" if done else "nothing was written"
+            say(f"stopped in epoch {done + 1} of {config.epochs}; {kept}")
             raise
-    assert best is not None  # the last epoch is always validated
-    return TrainResult(out_dir / BEST, out_dir / LAST, best[1], best[2], time.monotonic() - started)
+        finally:
+            if run.folder:
+                run.folder.close()
+        return _result(out_dir, run.state.best, started)
 
 
-def _device(config: TrainConfig) -> torch.device:
-    try:
-        device = torch.device(config.device)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise UsageError(f"device '{config.device}' cannot be used here: {str(error).splitlines()[0]}") from error
-    return device
+def _train_and_validate(run: _Run, epoch: int) -> None:
+    started = time.monotonic()
+    config, state = run.config, run.state
+    losses = _train_epoch(run, epoch)
+    rate = run.steps.last_rate
+    copy_from_main(state.average.model, run.processes)
+    metrics = _validate(run) if _is_validated(epoch, config) else None
+    row = EpochRow(epoch, rate, *losses, metrics, time.monotonic() - started)
+    state.epoch = epoch
+    state.rows.append(row.cells())
+    if metrics:
+        state.best = _better(state.best, metrics, epoch)
+    if run.folder:
+        run.folder.keep(state, row)
+    say(row.summary(config.epochs))
+    if epoch < config.epochs and _is_over(epoch, state.best, config):
+        say(f"no better figures for {config.patience} epochs (patience): stopped early")
 
 
-def _load(config: TrainConfig, split: Literal["train", "val"]) -> ImageDataset:
-    return load_image_dataset(
-        Path(config.data),
-        split,
-        classes=config.classes or None,
-        val_fraction=config.val_fraction,
-        group_pattern=config.group_pattern,
-    )
-
-
-def _mirrors(config: TrainConfig, images: ImageDataset) -> IntArray:
-    name = config.signals or images.signals
-    if config.mirrors or not name:
-        return mirror_table(images.classes, None, config.mirrors)
-    return mirror_table(images.classes, load_signals(name if "/" in name else f"signals/{name}"), {})
-
-
-def _start(model: YoloV5, config: TrainConfig, steps_per_epoch: int) -> _State:
-    optimizer = config.optimizer
-    # The decay is meant for a step over a nominal batch.
-    summed = config.batch * _batches_per_step(config, 1.0)
-    return _State(
-        model=model,
-        average=WeightAverage(model, decay=optimizer.ema_decay, ramp_steps=optimizer.ema_ramp_steps),
-        optimizer=build_optimizer(
-            model, optimizer, weight_decay=optimizer.weight_decay * summed / config.nominal_batch
-        ),
-        schedule=Schedule(
-            config.schedule,
-            steps=config.epochs * steps_per_epoch,
-            steps_per_epoch=steps_per_epoch,
-            momentum=optimizer.momentum,
-        ),
-    )
-
-
-def _batches_per_step(config: TrainConfig, warmed_up: float) -> int:
-    """How many batches an optimiser step sums; each batch is one in the warm-up's beginning."""
-    wanted = config.nominal_batch / config.batch
-    return max(round(1 + warmed_up * (wanted - 1)), 1)
-
-
-def _clear(out_dir: Path) -> None:
-    """Remove what an earlier run left, and nothing else."""
-    out_dir.mkdir(parents=True, exist_ok=True)
-    for name in _OUTPUTS:
-        path = out_dir / name
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-
-
-def _train_epoch(
-    state: _State, loader: BatchLoader, images: ImageDataset, config: TrainConfig, log: RunLog, epoch: int
-) -> tuple[float, float, float]:
+def _train_epoch(run: _Run, epoch: int) -> tuple[float, float, float]:
     """Go once through the loader; mean box, objectness and class losses."""
-    device = next(state.model.parameters()).device
-    state.model.train()
+    loader, images = run.data.loader, run.data.images
+    title = f"epoch {epoch}/{run.config.epochs}"
     sums = np.zeros(3)
-    for batch in track(
-        loader.epoch(epoch), description=f"epoch {epoch}/{config.epochs}", total=len(loader), unit="batches"
-    ):
-        if state.step == 0:
-            log.batch_picture(batch, images.classes)
-        set_rates(state.optimizer, state.schedule.at(state.step))
-        maps = state.model.logits(batch.network_input(device))
-        losses = detection_loss(
-            maps,
-            batch.labels.to(device),
-            state.model.anchors,
-            strides=state.model.strides,
-            input_side_px=config.input_side_px,
-            config=config.loss,
-        )
-        if not torch.isfinite(losses.total):
-            raise TrainingError(_not_finite(losses.total.item(), batch, images, epoch))
-        torch.autograd.backward(losses.total)
-        state.summed_batches += 1
-        if state.summed_batches >= _batches_per_step(config, state.schedule.warmed_up(state.step)):
-            _step(state, config)
-        state.step += 1
-        sums += [losses.box.item(), losses.objectness.item(), losses.classes.item()]
+    memory_ran_out = False
+    run.steps.start_epoch()
+    try:
+        for number, batch in enumerate(
+            track(loader.epoch(epoch), description=title, total=len(loader), unit="batches"), start=1
+        ):
+            if run.folder and epoch == number == 1:
+                run.folder.picture_batch(draw_batch(batch, images.classes))
+            losses = run.steps.backward(batch, ends_epoch=number == len(loader))
+            if not np.isfinite(losses).all():
+                raise TrainingError(_not_finite(losses.sum(), batch, images, epoch, run.processes))
+            run.steps.advance()
+            sums += losses
+    except torch.OutOfMemoryError:
+        memory_ran_out = True
+    if memory_ran_out:  # asked here, where the error no longer holds the batch's memory
+        raise TrainingError(advise(run.state.model, run.config, run.processes.size))
     box, objectness, classes = (sums / len(loader)).tolist()
     return box, objectness, classes
 
 
-def _step(state: _State, config: TrainConfig) -> None:
-    torch.nn.utils.clip_grad_norm_(state.model.parameters(), config.optimizer.clip_norm)
-    state.optimizer.step()
-    state.optimizer.zero_grad()
-    state.average.update(state.model)
-    state.summed_batches = 0
-
-
-def _not_finite(loss: float, batch: Batch, images: ImageDataset, epoch: int) -> str:
-    names = [images.image_paths[i].name for i in batch.indices]
-    shown = ", ".join(names[:_NAMED_FILES])
-    more = f" and {len(names) - _NAMED_FILES} more" if len(names) > _NAMED_FILES else ""
-    return (
-        f"the loss became {loss} in epoch {epoch}, on the batch of {shown}{more}; "
-        "lower schedule.max_rate, or look at these images' labels"
+def _validate(run: _Run) -> DetectionMetrics:
+    return evaluate_detector(
+        run.state.average.model,
+        run.data.held_out,
+        long_side=run.config.val_long_side or run.config.image_size,
+        score_threshold=run.config.val_score_threshold,
+        device=str(run.device),
+        bad_images=run.config.bad_images,
+        processes=run.processes,
     )
 
 
-def _validates(config: TrainConfig, epoch: int) -> bool:
+def _prepare(
+    config: TrainConfig, out_dir: Path, saved: SavedState | None, processes: Processes, device: torch.device
+) -> _Run:
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    data = load_training_data(config, processes)
+    model = build_model(config, data.images.classes)
+    if saved:
+        saved.check_data(data.fingerprint)
+    else:
+        initialise(model, config)
+    state = start(model.to(device).to(memory_format=torch.channels_last), config)
+    if saved:
+        saved.restore(state)
+        say(f"{out_dir}: goes on after epoch {state.epoch} of {config.epochs}")
+    steps = Steps(
+        state,
+        schedule_of(config, len(data.loader)),
+        config,
+        class_weights=data.class_weights(config.loss.class_balance),
+        processes=processes,
+    )
+    environment = describe_environment(device, processes)
+    folder = None
+    if processes.is_main:
+        folder = RunFolder(out_dir, config, environment, fingerprint=data.fingerprint, epochs_kept=state.epoch)
+    return _Run(config, data, state, steps, processes, device, folder)
+
+
+def _saved_state(out_dir: Path, config: TrainConfig, force: bool, resume: bool) -> SavedState | None:
+    """What to go on from; None to begin, if that is allowed."""
+    path = out_dir / STATE
+    if resume and path.is_file():
+        saved = SavedState.read(path)
+        saved.check_config(config)
+        return saved
+    refuse_existing(out_dir, force=force)
+    return None
+
+
+def _is_over(epoch: int, best: Best | None, config: TrainConfig) -> bool:
+    """Whether all epochs are done, or there was none better for too long."""
+    out_of_patience = config.patience > 0 and best is not None and epoch - best.reached >= config.patience
+    return epoch >= config.epochs or out_of_patience
+
+
+def _is_validated(epoch: int, config: TrainConfig) -> bool:
     return epoch == config.epochs or (config.val_every > 0 and epoch % config.val_every == 0)
 
 
-def _validate(state: _State, held_out: ImageDataset, config: TrainConfig) -> DetectionMetrics:
-    return evaluate_detector(
-        state.average.model,
-        held_out,
-        long_side=config.val_long_side or config.image_size,
-        score_threshold=config.val_score_threshold,
-        device=config.device,
-    )
+def _better(best: Best | None, metrics: DetectionMetrics, epoch: int) -> Best:
+    fitness = _fitness(metrics)
+    if best and fitness < best.fitness:
+        return best
+    reached = best.reached if best and fitness == best.fitness else epoch
+    return Best(epoch, reached, fitness, metrics.to_json())
 
 
 def _fitness(metrics: DetectionMetrics) -> float:
@@ -268,24 +241,16 @@ def _fitness(metrics: DetectionMetrics) -> float:
     return 0.0 if math.isnan(fitness) else fitness
 
 
-def _checkpoint(model: YoloV5, config: TrainConfig, epoch: int, metrics: DetectionMetrics | None) -> Checkpoint:
-    return Checkpoint(
-        size=model.size,
-        classes=model.classes,
-        state=dict(model.state_dict()),
-        initial_weights=model.initial_weights,
-        epoch=epoch,
-        metrics=metrics.to_json() if metrics else {},
-        config=config.model_dump(mode="json"),
-        strides=model.strides,
+def _not_finite(loss: float, batch: Batch, images: ImageDataset, epoch: int, processes: Processes) -> str:
+    names = [images.image_paths[i].name for indices in processes.gather(batch.indices) for i in indices]
+    shown = ", ".join(names[:_NAMED_FILES])
+    more = f" and {len(names) - _NAMED_FILES} more" if len(names) > _NAMED_FILES else ""
+    return (
+        f"the loss became {loss} in epoch {epoch}, on the batch of {shown}{more}; "
+        "lower schedule.max_rate, or look at these images' labels"
     )
 
 
-def _summary(row: EpochRow, epochs: int) -> str:
-    text = (
-        f"epoch {row.epoch}/{epochs}: box {row.box:.4f}, obj {row.objectness:.4f}, cls {row.classes:.4f}, "
-        f"{row.seconds:.0f} s"
-    )
-    if row.metrics:
-        text += f"; AP {row.metrics.ap:.3f}, AP50 {row.metrics.ap50:.3f}"
-    return text
+def _result(out_dir: Path, best: Best | None, started: float) -> TrainResult:
+    assert best is not None  # the last epoch is always validated
+    return TrainResult(out_dir / BEST, out_dir / LAST, best.epoch, best.metrics, time.monotonic() - started)

@@ -1,23 +1,18 @@
-"""What a run leaves behind for people: results.csv, TensorBoard curves and a picture of a batch."""
+"""The figures of a run's epochs for people: lines of results.csv and TensorBoard's curves."""
 
 import csv
+import io
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-import cv2
-import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
 from autolights.core.arrays import ImageArray
-from autolights.train.loader import Batch
+from autolights.core.atomic import write_text
 from autolights.train.metrics import DetectionMetrics
 
 _FIGURES = ("ap", "ap50", "ap75", "ap_s", "ap_m")
-_PICTURED = 16  # samples of the first batch, in rows of four
 
 
 @dataclass(frozen=True)
@@ -32,66 +27,68 @@ class EpochRow:
     metrics: DetectionMetrics | None
     seconds: float
 
+    @property
+    def losses(self) -> dict[str, float]:
+        """By column."""
+        return {"box": self.box, "obj": self.objectness, "cls": self.classes}
 
-class RunLog:
-    """Writes results.csv and TensorBoard events while the run goes on; a context manager."""
+    @property
+    def figures(self) -> dict[str, float]:
+        """By column; NaN where there are none."""
+        return {name: getattr(self.metrics, name) if self.metrics else math.nan for name in _FIGURES}
 
-    def __init__(self, out_dir: Path) -> None:
-        self._writer = SummaryWriter(str(out_dir / "tensorboard"))
-        # Line-buffered: whoever looks sees every finished epoch.
-        self._file = (out_dir / "results.csv").open("w", encoding="utf-8", newline="", buffering=1)
-        self._csv = csv.writer(self._file)
-        self._csv.writerow(["epoch", "lr", "box", "obj", "cls", *_FIGURES, "seconds"])
+    def cells(self) -> dict[str, str]:
+        """The line as text, by column."""
+        numbers = {**self.losses, **self.figures}
+        return {
+            "epoch": str(self.epoch),
+            "lr": f"{self.rate:.3g}",
+            **{name: "" if math.isnan(value) else f"{value:.5f}" for name, value in numbers.items()},
+            "seconds": f"{self.seconds:.1f}",
+        }
 
-    def __enter__(self) -> Self:
-        return self
+    def summary(self, epochs: int) -> str:
+        """The line for the terminal, with the time that is left at this pace."""
+        text = (
+            f"epoch {self.epoch}/{epochs}: box {self.box:.4f}, obj {self.objectness:.4f}, cls {self.classes:.4f}, "
+            f"{self.seconds:.0f} s"
+        )
+        if self.metrics:
+            text += f"; AP {self.metrics.ap:.3f}, AP50 {self.metrics.ap50:.3f}"
+        left_min = (epochs - self.epoch) * self.seconds / 60
+        return f"{text}; {left_min:.0f} min left" if left_min >= 1 else text
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._writer.close()
-        self._file.close()
+
+def write_results(path: Path, rows: list[dict[str, str]]) -> None:
+    """Write results.csv: whole, so that a run that goes on leaves no line twice."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+class Curves:
+    """TensorBoard's view of a run."""
+
+    def __init__(self, folder: Path, *, epochs_done: int) -> None:
+        """Go on after so many epochs; what a run that was stopped has noted of later ones is hidden."""
+        self._writer = SummaryWriter(str(folder), purge_step=epochs_done + 1 if epochs_done else None)
 
     def epoch(self, row: EpochRow) -> None:
         """Note an epoch."""
-        figures = {name: getattr(row.metrics, name) for name in _FIGURES} if row.metrics else {}
-        losses = {"box": row.box, "obj": row.objectness, "cls": row.classes}
-        cells = [*losses.values(), *(figures.get(name, math.nan) for name in _FIGURES)]
-        self._csv.writerow(
-            [
-                row.epoch,
-                f"{row.rate:.3g}",
-                *("" if math.isnan(cell) else f"{cell:.5f}" for cell in cells),
-                f"{row.seconds:.1f}",
-            ]
-        )
         self._writer.add_scalar("rate", row.rate, row.epoch)
-        for name, value in losses.items():
+        for name, value in row.losses.items():
             self._writer.add_scalar(f"loss/{name}", value, row.epoch)
-        for name, value in figures.items():
+        for name, value in row.figures.items():
             if not math.isnan(value):
                 self._writer.add_scalar(f"metrics/{name}", value, row.epoch)
+        self._writer.flush()
 
-    def batch_picture(self, batch: Batch, classes: Sequence[str]) -> None:
-        """Show samples of a batch with their labels, as the network sees them."""
-        self._writer.add_image("batch", draw_batch(batch, classes), 0, dataformats="HWC")
+    def picture(self, name: str, image_rgb: ImageArray, epoch: int) -> None:
+        """Show a picture."""
+        self._writer.add_image(name, image_rgb, epoch, dataformats="HWC")
 
-
-def draw_batch(batch: Batch, classes: Sequence[str]) -> ImageArray:
-    """Up to 16 samples in rows of four, labels drawn in; RGB."""
-    pictures = []
-    for i, image in enumerate(batch.images[:_PICTURED].numpy()):
-        picture = image.copy()
-        side_px = picture.shape[0]
-        for _, class_id, cx, cy, width, height in batch.labels[batch.labels[:, 0] == i].tolist():
-            left, top = round((cx - width / 2) * side_px), round((cy - height / 2) * side_px)
-            right, bottom = round((cx + width / 2) * side_px), round((cy + height / 2) * side_px)
-            cv2.rectangle(picture, (left, top), (right, bottom), (0, 255, 255), 1)
-            cv2.putText(
-                picture, classes[int(class_id)], (left, top - 2), cv2.FONT_HERSHEY_SIMPLEX, 0.35, (0, 255, 255), 1
-            )
-        pictures.append(picture)
-    columns = min(4, len(pictures))
-    pictures += [np.zeros_like(pictures[0])] * (-len(pictures) % columns)
-    rows = [np.concatenate(pictures[i : i + columns], axis=1) for i in range(0, len(pictures), columns)]
-    return np.concatenate(rows)
+    def close(self) -> None:
+        """Write what is left."""
+        self._writer.close()

@@ -1,0 +1,18 @@
+"""What people are shown of a run."""
+
+import torch
+
+from autolights.train.loader import Batch
+from autolights.train.pictures import draw_batch
+
+
+def test_the_picture_of_a_batch_shows_each_sample_with_its_labels():
+    images = torch.zeros(5, 32, 64, 3, dtype=torch.uint8)
+    batch = Batch(images, torch.tensor([[1, 0, 0.5, 0.5, 0.5, 0.5]]), (0, 1, 2, 3, 4))
+
+    picture = draw_batch(batch, ["red"])
+
+    assert picture.shape == (64, 256, 3)
+    assert picture[8, 64 + 16 : 64 + 49].all(axis=0)[1:].all()
+    assert not picture[:, :64].any()
+    assert not picture[32:].any()
