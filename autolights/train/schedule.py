@@ -17,7 +17,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Cosine annealing in one or more cycles behind a linear warm-up.
+    """Annealing along a line, or along a cosine in one or more cycles, behind a linear warm-up.
 
     Attributes:
         config: Its shape.
@@ -53,8 +53,8 @@ class Schedule:
         first = -(-cycle * self.steps // cycles)
         last = -(-(cycle + 1) * self.steps // cycles) - 1
         progress = (step - first) / (last - first) if last > first else 1.0
-        swing = (self.config.max_rate - self.config.min_rate) / 2
-        return self.config.min_rate + swing * (1 + math.cos(math.pi * progress))
+        share = 1 - progress if self.config.kind == "linear" else (1 + math.cos(math.pi * progress)) / 2
+        return self.config.min_rate + (self.config.max_rate - self.config.min_rate) * share
 
     def warmed_up(self, step: int) -> float:
         """How much of the warm-up is done, 0 to 1."""

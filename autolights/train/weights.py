@@ -18,6 +18,7 @@ from autolights.train.public_checkpoint import read_public_checkpoint
 
 OWN_LICENCE = "Apache-2.0"
 BASE = "base"
+_ANCHORS = "model.24.anchors"
 BASE_PATH = Path(__file__).parent / "base" / "yolov5n_autolights13.pt"
 
 
@@ -28,7 +29,7 @@ class TransferReport:
     Attributes:
         loaded: How many tensors were taken over.
         total: How many the network has.
-        reinitialised: Tensors of the network that keep their random start, and why.
+        reinitialised: Tensors of the network that keep their start, and why; those of the fine level together.
         unused: Tensors of the file that the network does not have.
     """
 
@@ -88,6 +89,10 @@ def load_checkpoint(path: Path, *, classes: Sequence[str] | None = None) -> Yolo
     known = checkpoint.classes or tuple(classes or ())
     if classes is not None and tuple(classes) != known:
         raise CheckpointError(f"{path}: knows {len(known)} classes {_short(known)}, not {_short(classes)}")
+    if known and len(known) != checkpoint.class_count:
+        raise CheckpointError(
+            f"{path}: its head is for {checkpoint.class_count} classes, there are {len(known)} names {_short(known)}"
+        )
     model = YoloV5(checkpoint.size, checkpoint.class_count, known, strides=checkpoint.strides)
     try:
         model.load_state_dict(checkpoint.state)
@@ -128,20 +133,26 @@ def start_from(model: YoloV5, weights: str) -> TransferReport:
 
 
 def transfer(model: YoloV5, state: dict[str, Tensor]) -> TransferReport:
-    """Copy every tensor whose name and shape fit; leave the rest as it is."""
+    """Copy every tensor whose name and shape fit, and the anchors of the common levels; leave the rest as it is."""
     own = model.state_dict()
     fitting = {name: tensor for name, tensor in state.items() if name in own and own[name].shape == tensor.shape}
+    if _ANCHORS in state and _ANCHORS not in fitting:
+        # Levels have one order, so those of the shorter list are the common ones.
+        common = state[_ANCHORS][: len(own[_ANCHORS])]
+        fitting[_ANCHORS] = torch.cat([common.to(own[_ANCHORS]), own[_ANCHORS][len(common) :]])
     model.load_state_dict(fitting, strict=False)
-    return TransferReport(
-        loaded=len(fitting),
-        total=len(own),
-        reinitialised=tuple(
-            f"{name} ({f'{len(state[name])} → {len(tensor)} channels' if name in state else 'not in the file'})"
-            for name, tensor in own.items()
-            if name not in fitting
-        ),
-        unused=tuple(name for name in state if name not in own),
+    changed = (
+        f"{name} ({len(state[name])} → {len(tensor)} channels)" if name in state else f"{_part(name)} (not in the file)"
+        for name, tensor in own.items()
+        if name not in fitting
     )
+    unused = (_part(name) for name in state if name not in own)
+    return TransferReport(len(fitting), len(own), tuple(dict.fromkeys(changed)), tuple(dict.fromkeys(unused)))
+
+
+def _part(name: str) -> str:
+    """A tensor's name, or the fine level's for all of it."""
+    return name if name.startswith("model.") else name.split(".")[0]
 
 
 def _short(names: Sequence[str]) -> str:

@@ -43,6 +43,20 @@ def test_anchors_within_a_factor_of_four_answer():
     assert {anchor for anchor, _, _ in cells_of([label(5.5, 5.5, 2.1, 3.9)])} == {0, 1, 2}
 
 
+def test_levels_do_not_mix():
+    anchors = torch.cat([ANCHORS, ANCHORS / 2])
+    labels = torch.tensor([label(2.25, 5.75), label(7.75, 3.25, 0.6, 0.7)])
+    grids = [(10, 10), (5, 5)]
+
+    together = assign(labels, anchors, grids)
+
+    for level in range(2):
+        (alone,) = assign(labels, anchors[level : level + 1], grids[level : level + 1])
+        assert len(alone) > 0
+        for name, values in vars(alone).items():
+            torch.testing.assert_close(getattr(together[level], name), values)
+
+
 def test_no_labels_no_positives():
     levels = assign(torch.zeros(0, 6), ANCHORS.expand(3, 3, 2), [(8, 8), (4, 4), (2, 2)])
 

@@ -12,7 +12,7 @@ from autolights.infer import Detector, decode
 from autolights.infer.letterbox import InputBuffer
 from autolights.train import export
 from autolights.train.export import Parity, export_onnx
-from autolights.train.model import YoloV5
+from autolights.train.model import FINE_STRIDES, YoloV5
 
 CLASSES = ("3-red", "3-green", "3-yellow")
 SIZE_WH = (96, 64)
@@ -86,6 +86,23 @@ def test_file_is_small_typed_and_tells_what_it_is(model, tmp_path):
     assert (report.info.classes, report.info.size_wh, report.info.opset) == (CLASSES, SIZE_WH, 17)
     assert (report.info.score_threshold, report.info.initial_weights) == (0.3, weights)
     assert report.info.training == {"ap": 0.5}
+
+
+def test_a_fine_level_is_exported_too(photo, tmp_path):
+    torch.manual_seed(1)
+    network = YoloV5("n", 2, strides=FINE_STRIDES)
+    for convolution in network.detect.m:
+        nn.init.normal_(convolution.weight, std=0.5)
+        nn.init.normal_(convolution.bias, std=0.5)
+    anchors_px = torch.arange(4.0, 28.0).view(4, 3, 2)
+    network.set_anchors(anchors_px)
+
+    report = export_onnx(network, tmp_path / "model.onnx", size_wh=SIZE_WH, images=[photo])
+
+    (output,) = onnx.load(report.path).graph.output
+    rows = 3 * (12 * 8 + 6 * 4 + 3 * 2 + 24 * 16)
+    assert [d.dim_value for d in output.type.tensor_type.shape.dim] == [1, rows, 7]
+    assert report.info.parity["detections"] > 10
 
 
 def test_initial_weights_are_those_the_network_remembers(tmp_path):

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from autolights.train.model import ANCHORS_PX, STRIDES, YoloV5
+from autolights.train.model import ANCHORS_PX, FINE_STRIDES, STRIDES, YoloV5
 
 NANO_LAYERS = [1760, 4672, 4800, 18560, 29184, 73984, 156928, 295424, 296448, 164608, 33024, 0, 0, 90880, 8320, 0, 0]
 NANO_LAYERS += [22912, 36992, 0, 74496, 147712, 0, 296448, 115005]  # published, 80 classes
@@ -54,6 +54,41 @@ def test_training_mode_gives_logits_that_start_from_the_prior():
         model.detect.m[i].bias.view(3, 18)[:, 4].sigmoid().mean() * (640 / s) ** 2 for i, s in enumerate(STRIDES)
     )
     assert 12 < expected_lights < 48  # about 8 per level
+
+
+def test_a_fine_level_is_added_behind_the_published_ones():
+    published = YoloV5("n", 2).eval()
+    fine = YoloV5("n", 2, strides=FINE_STRIDES).eval()
+    fine.load_state_dict({k: v for k, v in published.state_dict().items() if k != "model.24.anchors"}, strict=False)
+    images = torch.rand(1, 3, 64, 96)
+
+    raw, wanted = fine(images), published(images)
+
+    torch.testing.assert_close(raw[:, : wanted.shape[1]], wanted)
+    added = raw[0, wanted.shape[1] :]
+    assert len(added) == 3 * (64 // 4) * (96 // 4)
+    # A cell of stride 4 reaches half a cell beyond its sides, and boxes up to 4 times its anchor.
+    assert (added[0, :2] >= -2).all()
+    assert (added[0, :2] <= 6).all()
+    assert (added[0, 2:4] <= 4 * torch.tensor(ANCHORS_PX[4][0])).all()
+    bias = fine.detect.m[3].bias.view(3, 7)[:, 4]
+    assert 4 < bias.sigmoid().mean() * (640 / 4) ** 2 < 16  # about 8 lights an image, like on each level
+
+
+@pytest.mark.parametrize("strides", [STRIDES, FINE_STRIDES])
+def test_anchors_are_set_in_pixels_and_kept_in_cells(strides):
+    model = YoloV5("n", 1, strides=strides)
+    torch.testing.assert_close(model.anchors_px, torch.tensor([ANCHORS_PX[stride] for stride in strides]))
+
+    model.set_anchors(torch.full((len(strides), 3, 2), 48.0))
+
+    assert model.anchors[:, 0, 0].tolist() == [48 / stride for stride in strides]
+    assert (model.anchors_px == 48).all()
+
+
+def test_levels_are_the_published_three_or_one_more():
+    with pytest.raises(ValueError, match=r"strides must be \(8, 16, 32\) or \(8, 16, 32, 4\), got \(4, 8\)"):
+        YoloV5("n", 2, strides=(4, 8))
 
 
 def test_names_must_fit_the_classes():

@@ -35,6 +35,12 @@ def test_cosine_is_one_cycle():
     assert one.annealed(20) == pytest.approx(0.001 * (1 + math.cos(math.pi * 20 / 39)))
 
 
+def test_linear_is_a_straight_line():
+    line = schedule(kind="linear", max_rate=0.01, min_rate=0.0001)
+
+    assert [line.annealed(step) for step in (0, 13, 39)] == pytest.approx([0.01, 0.01 - 0.0099 / 3, 0.0001])
+
+
 def test_warmup_is_linear_in_rate_and_momentum():
     warm = schedule(warmup_epochs=2, warmup_steps=0, warmup_momentum=0.8, warmup_bias_rate=0.1)
 
