@@ -10,12 +10,22 @@ import time
 import pytest
 import torch
 
+from autolights.cli.training import train as train_verb
 from autolights.core.config import save_config
 from autolights.core.errors import CheckpointError, ConfigError, DataError, UsageError
 from autolights.train import engine
 from autolights.train.engine import train
 from autolights.train.steps import Steps
 from autolights.train.tensor_file import save_tensors
+
+_SLOW_PROGRAM = """
+import time
+from autolights.cli import main
+from autolights.train.steps import Steps
+advance = Steps.advance
+Steps.advance = lambda self: (time.sleep(0.2), advance(self))
+main()
+"""
 
 
 def states_of(folder):
@@ -65,11 +75,8 @@ def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(tiny, tmp_path):
     train(config, tmp_path / "whole")
 
     save_config(config, tmp_path / "config.yaml")
-    command = [sys.executable, "-m", "autolights", "train", tmp_path / "config.yaml", "--out", tmp_path / "killed"]
-    slow = "import time; from autolights.train.steps import Steps; real = Steps.advance\n"
-    slow += "Steps.advance = lambda self: (time.sleep(0.2), real(self))\n"
-    slow += "from autolights.cli import main; main()"
-    process = subprocess.Popen([sys.executable, "-c", slow, *map(str, command[3:])], start_new_session=True)
+    command = [sys.executable, "-c", _SLOW_PROGRAM, "train", tmp_path / "config.yaml", "--out", tmp_path / "killed"]
+    process = subprocess.Popen(list(map(str, command)), start_new_session=True)
     try:
         _wait_for(tmp_path / "killed/state.pt")
         time.sleep(0.3)  # four batches take 0.8 s: in the middle of an epoch
@@ -79,7 +86,7 @@ def test_a_killed_run_goes_on_to_the_same_weights_bit_for_bit(tiny, tmp_path):
     stopped_after = torch.load(tmp_path / "killed/state.pt", weights_only=True)["epoch"]
     assert 1 <= stopped_after < 4
 
-    subprocess.run([*map(str, command), "--resume"], check=True, timeout=120)
+    train_verb(str(tmp_path / "config.yaml"), out=tmp_path / "killed", resume=True)
 
     for one, other in zip(states_of(tmp_path / "whole"), states_of(tmp_path / "killed"), strict=True):
         assert_equal(one, other)
