@@ -67,15 +67,15 @@ def val(
 ) -> None:
     """Measure a detector: COCO metrics, precision, recall, recall by height, and the confusion matrix.
 
-    Writes metrics.json, confusion.json and images.txt (what was measured on) into --out. Splits by --val-fraction and
-    --group-pattern are the same as in training with the same values.
+    Writes metrics.json, confusion.json, images.txt (what was measured on), pr_curves.png and predictions.jpg into
+    --out. Splits by --val-fraction and --group-pattern are the same as in training with the same values.
 
     \b
     Example: autolights val runs/train/best.pt runs/images --out runs/val
     """
     from autolights.core.atomic import new_folder
     from autolights.data import load_image_dataset
-    from autolights.train import detect_dataset, load_checkpoint, metrics_as_text
+    from autolights.train import detect_dataset, load_checkpoint, metrics_as_text, save_curves, save_sheet
     from autolights.train import save_predictions as save
 
     if split not in ("train", "val"):
@@ -98,6 +98,8 @@ def val(
         metrics.save(folder / "metrics.json")
         metrics.confusion.save(folder / "confusion.json")
         (folder / "images.txt").write_text("".join(f"{path}\n" for path in detections.image_paths))
+        save_curves(metrics, folder / "pr_curves.png")
+        save_sheet(detections, folder / "predictions.jpg")
         if save_predictions:
             save(folder / "predictions.json", detections.image_paths, detections.predictions)
     typer.echo(json.dumps(metrics.to_json()) if as_json else metrics_as_text(metrics))

@@ -26,10 +26,7 @@ def state_color(class_name: str, signals: SignalSet) -> Bgr:
 
 
 def draw_detections(image_bgr: ImageArray, detections: Detections, signals: SignalSet) -> ImageArray:
-    """Draw each box in its state's colour, with class and score beside it.
-
-    Frames lie outside all boxes, and a text is put where it covers neither a light nor another text if there is
-    such a place.
+    """Draw each box in its state's colour, with class and score beside it; see `draw_boxes`.
 
     Args:
         image_bgr: (H, W, 3) uint8; it is not changed.
@@ -39,22 +36,40 @@ def draw_detections(image_bgr: ImageArray, detections: Detections, signals: Sign
     Returns:
         A new (H, W, 3) picture.
     """
+    names = [signals.classes[i] for i in detections.class_ids]
+    texts = [f"{name} {score:.2f}" for name, score in zip(names, detections.scores, strict=True)]
+    return draw_boxes(image_bgr, detections.boxes_xyxy, texts, [state_color(name, signals) for name in names])
+
+
+def draw_boxes(
+    image_bgr: ImageArray, boxes_xyxy: FloatArray, texts: Sequence[str], colors: Sequence[Bgr]
+) -> ImageArray:
+    """Frame boxes and write a text beside each.
+
+    Frames lie outside all boxes, and a text is put where it covers neither a box nor another text if there is such a
+    place.
+
+    Args:
+        image_bgr: (H, W, 3) uint8; it is not changed.
+        boxes_xyxy: (n, 4) in pixels of this image.
+        texts: One for each box.
+        colors: One for each box.
+
+    Returns:
+        A new (H, W, 3) picture.
+    """
     picture = image_bgr.copy()
     unit = max(1, round(max(picture.shape[:2]) / 1000))  # px; about one pixel when the picture fills a screen
-    colors = [state_color(signals.classes[i], signals) for i in detections.class_ids]
-    lights = [_whole_pixels(box) for box in detections.boxes_xyxy]
+    lights = [_whole_pixels(box) for box in boxes_xyxy]
     for (left, top, right, bottom), color in zip(lights, colors, strict=True):
         corners = (left - 2 * unit, top - 2 * unit), (right - 1 + 2 * unit, bottom - 1 + 2 * unit)
         cv2.rectangle(picture, *corners, _OUTLINE_BGR, 3 * unit)
         cv2.rectangle(picture, *corners, color, unit)
     for left, top, right, bottom in lights:  # no frame lies on any light
         picture[top:bottom, left:right] = image_bgr[top:bottom, left:right]
-    occupied = [*detections.boxes_xyxy]
-    for box, class_id, score, color in zip(
-        detections.boxes_xyxy, detections.class_ids, detections.scores, colors, strict=True
-    ):
-        plate = _draw_label(picture, f"{signals.classes[class_id]} {score:.2f}", box, color, unit, occupied)
-        occupied.append(plate)
+    occupied = [*boxes_xyxy]
+    for box, text, color in zip(boxes_xyxy, texts, colors, strict=True):
+        occupied.append(_draw_label(picture, text, box, color, unit, occupied))
     return picture
 
 

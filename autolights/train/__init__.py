@@ -5,12 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from autolights.train.config import TrainConfig
+    from autolights.train.curves import save_curves
     from autolights.train.engine import TrainResult, train
     from autolights.train.export import ExportReport, export_onnx
     from autolights.train.hmm_fitting import fit_hmm
     from autolights.train.metrics import DetectionMetrics
     from autolights.train.metrics_table import metrics_as_text
     from autolights.train.model import YoloV5
+    from autolights.train.prediction_sheet import save_sheet
     from autolights.train.predictions import load_predictions, save_predictions
     from autolights.train.validate import DatasetDetections, detect_dataset, evaluate_detector
     from autolights.train.weights import load_checkpoint
@@ -29,7 +31,9 @@ _HOMES = {
     "load_checkpoint": "weights",
     "load_predictions": "predictions",
     "metrics_as_text": "metrics_table",
+    "save_curves": "curves",
     "save_predictions": "predictions",
+    "save_sheet": "prediction_sheet",
     "train": "engine",
 }
 
@@ -47,7 +51,9 @@ __all__ = [
     "load_checkpoint",
     "load_predictions",
     "metrics_as_text",
+    "save_curves",
     "save_predictions",
+    "save_sheet",
     "train",
 ]
 
