@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.cluster.vq import kmeans2
 
 from autolights.train.anchors import anchor_recall, estimate_anchors, fit_anchors
 from autolights.train.model import FINE_STRIDES, STRIDES, YoloV5
@@ -43,6 +44,18 @@ def test_clusters_are_found_and_dealt_out_by_size(strides):
 
     by_stride = np.concatenate([anchors[strides.index(stride)] for stride in sorted(strides)])
     np.testing.assert_allclose(by_stride, truth, rtol=0.05)
+
+
+def test_anchors_come_nearer_than_the_clusters_they_start_from():
+    sides = np.exp(np.random.default_rng(4).normal(2.5, 0.7, (400, 2)))
+
+    def closeness(anchors):
+        ratios = sides[:, None] / anchors.reshape(1, -1, 2)
+        return np.minimum(ratios, 1 / ratios).min(axis=2).max(axis=1).mean()
+
+    clusters = [np.exp(kmeans2(np.log(sides), 9, minit="++", seed=seed)[0]) for seed in range(5)]
+
+    assert closeness(estimate_anchors(sides, STRIDES, seed=0)) > 1.01 * max(map(closeness, clusters))
 
 
 def test_the_seed_decides():

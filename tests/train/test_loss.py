@@ -116,14 +116,14 @@ def test_levels_weigh_as_published(strides, weights):
 
 
 def test_smoothed_labels_in_closed_form():
-    """Wanted 0.9 and 0.1: a logit of log 9 for the class and −log 9 for the other costs their entropy."""
-    maps = logits(classes=2)
-    maps[0, 0, 5, 5, 5:] = torch.tensor([-math.log(9), math.log(9)])
+    """Wanted 0.9 and twice 0.1: a logit of log 9 for the class and −log 9 for the others costs their entropy."""
+    maps = logits()
+    maps[0, 0, 5, 5, 5:] = torch.tensor([-math.log(9), math.log(9), -math.log(9)])
 
     smoothed = loss(maps, LABEL, label_smoothing=0.2, class_gain=1.0).classes.item()
 
     entropy = -(0.9 * math.log(0.9) + 0.1 * math.log(0.1))
-    assert smoothed == pytest.approx(3 * 2 / 80 * entropy, rel=1e-5)
+    assert smoothed == pytest.approx(3 * 3 / 80 * entropy, rel=1e-5)
 
 
 def test_focal_loss_in_closed_form():

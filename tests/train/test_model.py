@@ -61,6 +61,9 @@ def test_a_fine_level_is_added_behind_the_published_ones():
     fine = YoloV5("n", 2, strides=FINE_STRIDES).eval()
     fine.load_state_dict({k: v for k, v in published.state_dict().items() if k != "model.24.anchors"}, strict=False)
     images = torch.rand(1, 3, 64, 96)
+    seen = {}
+    for i in (2, 17):
+        fine.model[i].register_forward_hook(lambda _module, _inputs, output, i=i: seen.update({i: output}))
 
     raw, wanted = fine(images), published(images)
 
@@ -71,6 +74,9 @@ def test_a_fine_level_is_added_behind_the_published_ones():
     assert (added[0, :2] >= -2).all()
     assert (added[0, :2] <= 6).all()
     assert (added[0, 2:4] <= 4 * torch.tensor(ANCHORS_PX[4][0])).all()
+    assert (seen[2].shape[2:], seen[17].shape[2:]) == ((16, 24), (8, 12))
+    logits = fine.detect.m[3](fine.fine(seen[17], seen[2])).view(3, 7, 16 * 24)
+    torch.testing.assert_close(added[:, 4:].view(3, 16 * 24, 3), logits[:, 4:].sigmoid().permute(0, 2, 1))
     bias = fine.detect.m[3].bias.view(3, 7)[:, 4]
     assert 4 < bias.sigmoid().mean() * (640 / 4) ** 2 < 16  # about 8 lights an image, like on each level
 
