@@ -14,7 +14,7 @@ if {kept}:
 for i in range(12):
     if i == 2:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    b"x" * 32_000_000
+    b"x" * 64_000_000
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
