@@ -8,7 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import autolights
-from autolights.cli import proof, runtime, simulation, training
+from autolights.cli import info, proof, runtime, simulation, training
 from autolights.core.errors import AutolightsError
 
 _HELP = """
@@ -19,10 +19,11 @@ The way through, each step a verb:
 \b
   simulate images   training images with labels          simulate drives   two-camera drives with truth
   train             images → checkpoint                  val               checkpoint → AP, confusion matrix
-  export            checkpoint → ONNX, checked           fit-hmm           confusion matrix → hmm.json
-  bundle            ONNX + HMMs → one verified folder    run               bundle + drive → estimates.jsonl
-  detect            bundle + images or video → boxes     evaluate          estimates + truth → tables
-  report            everything → one HTML page           demo              all of it, in order
+  info              size, cost, licence of a network     export            checkpoint → ONNX, checked
+  fit-hmm           confusion matrix → hmm.json          bundle            ONNX + HMMs → one verified folder
+  run               bundle + drive → estimates.jsonl     detect            bundle + images or video → boxes
+  evaluate          estimates + truth → tables           report            everything → one HTML page
+  demo              all of it, in order
 
 Results go to stdout (--json for machines), progress and messages to stderr.
 Exit code 0: done; 1: failed; 2: misused.
@@ -60,6 +61,7 @@ app.add_typer(simulation.app, name="simulate")
 _VERBS: dict[str, Callable[..., None]] = {
     "train": training.train,
     "val": training.val,
+    "info": info.info,
     "export": training.export,
     "fit-hmm": training.fit_hmm,
     "bundle": training.bundle,

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from autolights.train.metrics import DetectionMetrics
     from autolights.train.metrics_table import metrics_as_text
     from autolights.train.model import YoloV5
+    from autolights.train.network_info import NetworkInfo, describe_network
     from autolights.train.prediction_sheet import save_sheet
     from autolights.train.predictions import load_predictions, save_predictions
     from autolights.train.validate import DatasetDetections, detect_dataset, evaluate_detector
@@ -21,9 +22,11 @@ _HOMES = {
     "DatasetDetections": "validate",
     "DetectionMetrics": "metrics",
     "ExportReport": "export",
+    "NetworkInfo": "network_info",
     "TrainConfig": "config",
     "TrainResult": "engine",
     "YoloV5": "model",
+    "describe_network": "network_info",
     "detect_dataset": "validate",
     "evaluate_detector": "validate",
     "export_onnx": "export",
@@ -41,9 +44,11 @@ __all__ = [
     "DatasetDetections",
     "DetectionMetrics",
     "ExportReport",
+    "NetworkInfo",
     "TrainConfig",
     "TrainResult",
     "YoloV5",
+    "describe_network",
     "detect_dataset",
     "evaluate_detector",
     "export_onnx",

@@ -34,7 +34,7 @@ from autolights.train.run_folder import BEST, LAST, STATE, RunFolder
 from autolights.train.run_log import EpochRow
 from autolights.train.run_state import Best, RunState, SavedState
 from autolights.train.steps import Steps
-from autolights.train.validate import evaluate_detector
+from autolights.train.validate import DatasetDetections, detect_dataset
 
 _NAMED_FILES = 8  # of a batch, in an error
 
@@ -125,14 +125,15 @@ def _train_and_validate(run: _Run, epoch: int) -> None:
     losses = _train_epoch(run, epoch)
     rate = run.steps.last_rate
     copy_from_main(state.average.model, run.processes)
-    metrics = _validate(run) if _is_validated(epoch, config) else None
+    detections = _validate(run) if _is_validated(epoch, config) else None
+    metrics = detections.metrics() if detections else None
     row = EpochRow(epoch, rate, *losses, metrics, time.monotonic() - started)
     state.epoch = epoch
     state.rows.append(row.cells())
     if metrics:
         state.best = _better(state.best, metrics, epoch)
     if run.folder:
-        run.folder.keep(state, row)
+        run.folder.keep(state, row, detections)
     say(row.summary(config.epochs))
     if epoch < config.epochs and _is_over(epoch, state.best, config):
         say(f"no better figures for {config.patience} epochs (patience): stopped early")
@@ -164,8 +165,8 @@ def _train_epoch(run: _Run, epoch: int) -> tuple[float, float, float]:
     return box, objectness, classes
 
 
-def _validate(run: _Run) -> DetectionMetrics:
-    return evaluate_detector(
+def _validate(run: _Run) -> DatasetDetections:
+    return detect_dataset(
         run.state.average.model,
         run.data.held_out,
         long_side=run.config.val_long_side or run.config.image_size,

@@ -1,11 +1,9 @@
 """What a run starts from: data and their share for this process, the network, and everything at step 0."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.amp.grad_scaler import GradScaler
@@ -50,22 +48,11 @@ class TrainingData:
     @property
     def fingerprint(self) -> str:
         """Changes with any image or label of either part."""
-        digest = hashlib.sha256()
-        for part in (self.images, self.held_out):
-            for path, ids, boxes in zip(part.image_paths, part.class_ids, part.boxes_cxcywh, strict=True):
-                digest.update(f"{path.name} {path.stat().st_size}".encode())
-                digest.update(ids.tobytes() + boxes.tobytes())
-        return digest.hexdigest()
-
-    @property
-    def class_counts(self) -> list[int]:
-        """Labels of each class to train on."""
-        ids = np.concatenate(self.images.class_ids)
-        return [int(count) for count in np.bincount(ids, minlength=len(self.images.classes))]
+        return f"{self.images.fingerprint}-{self.held_out.fingerprint}"
 
     def class_weights(self, power: float) -> Tensor | None:
         """For the loss; None if all classes count alike."""
-        return class_weights(self.class_counts, power) if power else None
+        return class_weights(self.images.class_counts.tolist(), power) if power else None
 
 
 def check_feasible(config: TrainConfig, processes: Processes, device: torch.device) -> None:
@@ -93,6 +80,8 @@ def load_training_data(config: TrainConfig, processes: Processes) -> TrainingDat
     """
     images, held_out = _load(config, "train"), _load(config, "val")
     say(f"{len(images)} images with {images.label_count} labels to train on, {len(held_out)} held out")
+    if images.empty_classes:
+        say(f"warning: no label to train on for {', '.join(images.empty_classes)}: never to be detected")
     samples = TrainingSamples(images, _mirrors(config, images), config)
     return TrainingData(samples, BatchLoader(samples, config, processes), held_out)
 

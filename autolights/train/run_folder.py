@@ -2,6 +2,8 @@
 
 import contextlib
 import shutil
+import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,27 @@ from autolights.core.config import save_config
 from autolights.core.json_files import write_json
 from autolights.train.checkpoint import Checkpoint
 from autolights.train.config import TrainConfig
+from autolights.train.curves import draw_curves
+from autolights.train.metrics import DetectionMetrics
+from autolights.train.prediction_sheet import prediction_sheet
 from autolights.train.run_log import Curves, EpochRow, write_results
 from autolights.train.run_state import RunState
+from autolights.train.validate import DatasetDetections
 
 BEST, LAST, STATE = "best.pt", "last.pt", "state.pt"
 CONFIG, ENVIRONMENT, METRICS, RESULTS = "config.yaml", "environment.json", "metrics.json", "results.csv"
-BATCH, TENSORBOARD = "batch.jpg", "tensorboard"
-_OUTPUTS = (BEST, LAST, STATE, CONFIG, ENVIRONMENT, METRICS, RESULTS, BATCH, TENSORBOARD)
+BATCH, PREDICTIONS, CURVES, TENSORBOARD = "batch.jpg", "predictions.jpg", "pr_curves.png", "tensorboard"
+_OUTPUTS = (BEST, LAST, STATE, CONFIG, ENVIRONMENT, METRICS, RESULTS, BATCH, PREDICTIONS, CURVES, TENSORBOARD)
+_DRAW_EVERY_S = 60.0  # a short epoch takes less time than its pictures
+
+
+@dataclass(frozen=True, eq=False)
+class _Undrawn:
+    """A validation that waits to be drawn."""
+
+    epoch: int
+    metrics: DetectionMetrics
+    detections: DatasetDetections
 
 
 class RunFolder:
@@ -60,6 +76,8 @@ class RunFolder:
         self._fingerprint = fingerprint
         self._batch_picture: ImageArray | None = None
         self._curves: Curves | None = None
+        self._undrawn: _Undrawn | None = None
+        self._drawn_s = time.monotonic()
         path.mkdir(parents=True, exist_ok=True)
         for half_written in path.glob(".*.tmp"):  # by a process that was killed
             half_written.unlink()
@@ -68,12 +86,13 @@ class RunFolder:
         """Show this with the first epoch."""
         self._batch_picture = image_rgb
 
-    def keep(self, state: RunState, row: EpochRow) -> None:
+    def keep(self, state: RunState, row: EpochRow, detections: DatasetDetections | None) -> None:
         """Write what an epoch has brought.
 
         Args:
             state: After the epoch.
             row: Its figures.
+            detections: What they were counted from; None if the epoch was not validated.
 
         Raises:
             TrainingError: If the disk is full; the checkpoints of the epoch before are still there.
@@ -84,21 +103,39 @@ class RunFolder:
             self._begin()
             self._curves = Curves(self.path / TENSORBOARD, epochs_done=self.epochs_kept)
         if self._batch_picture is not None:
-            _write_picture(self.path / BATCH, self._batch_picture)
-            self._curves.picture("batch", self._batch_picture, state.epoch)
+            self._show(BATCH, self._batch_picture, state.epoch)
             self._batch_picture = None
-        if state.best and state.best.epoch == state.epoch:
+        if detections and row.metrics and state.best and state.best.epoch == state.epoch:
             checkpoint.save(self.path / BEST)
             write_json(self.path / METRICS, state.best.metrics)
+            self._undrawn = _Undrawn(state.epoch, row.metrics, detections)
+            if time.monotonic() - self._drawn_s >= _DRAW_EVERY_S:
+                self._draw_best()
         write_results(self.path / RESULTS, state.rows)
         self._curves.epoch(row)
         state.save(self.path / STATE, self._config, self._fingerprint)
         self.epochs_kept = state.epoch
 
     def close(self) -> None:
-        """Finish the curves."""
+        """Finish pictures and curves."""
         if self._curves:
+            # No picture is worth an error in place of the one that ends the run.
+            with contextlib.suppress(OSError):
+                self._draw_best()
             self._curves.close()
+
+    def _draw_best(self) -> None:
+        """Draw the best epoch's validation, if that has not been done."""
+        if self._undrawn:
+            self._show(PREDICTIONS, prediction_sheet(self._undrawn.detections), self._undrawn.epoch)
+            self._show(CURVES, draw_curves(self._undrawn.metrics), self._undrawn.epoch)
+            self._undrawn, self._drawn_s = None, time.monotonic()
+
+    def _show(self, name: str, image_rgb: ImageArray, epoch: int) -> None:
+        """Write a picture, and put it among the curves."""
+        assert self._curves is not None
+        _write_picture(self.path / name, image_rgb)
+        self._curves.picture(Path(name).stem, image_rgb, epoch)
 
     def _begin(self) -> None:
         """Remove what an earlier run left, unless this one goes on from it; nothing else is touched."""

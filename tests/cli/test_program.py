@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 Program = Callable[..., subprocess.CompletedProcess[str]]
-VERBS = ("simulate", "train", "val", "export", "fit-hmm", "bundle", "run", "detect", "evaluate", "report", "demo")
+VERBS = (
+    *("simulate", "train", "val", "info", "export", "fit-hmm"),
+    *("bundle", "run", "detect", "evaluate", "report", "demo"),
+)
 
 
 def test_help_names_every_verb(program: Program) -> None:
