@@ -27,6 +27,8 @@ _FOREIGN_PREFIXES = (
     "pathlib.",
     "torch.nn.modules.",
     "utils.",
+    "yolov5.models.",  # as its PyPI package calls them
+    "yolov5.utils.",
 )
 
 

@@ -24,16 +24,18 @@ def save_own(path: Path, model: YoloV5, initial_weights: InitialWeights | None =
     return path
 
 
-@pytest.fixture
-def foreign_classes(monkeypatch):
+@pytest.fixture(params=["models", "yolov5.models"], ids=["repository", "package"])
+def foreign_classes(request, monkeypatch):
     """Importable stand-ins for the public trainer's modules, so that its kind of pickle can be written."""
-    monkeypatch.setitem(sys.modules, "models", types.ModuleType("models"))
-    for module_name, class_names in {"models.common": ["Conv"], "models.yolo": ["Model", "Detect"]}.items():
+    root = request.param
+    monkeypatch.setitem(sys.modules, root.partition(".")[0], types.ModuleType(root))
+    monkeypatch.setitem(sys.modules, root, types.ModuleType(root))
+    for module_name, class_names in {f"{root}.common": ["Conv"], f"{root}.yolo": ["Model", "Detect"]}.items():
         module = types.ModuleType(module_name)
         for name in class_names:
             setattr(module, name, type(name, (nn.Module,), {"__module__": module_name}))
         monkeypatch.setitem(sys.modules, module_name, module)
-    return sys.modules["models.yolo"], sys.modules["models.common"]
+    return sys.modules[f"{root}.yolo"], sys.modules[f"{root}.common"]
 
 
 def as_foreign(module: nn.Module, kind: type[nn.Module]) -> nn.Module:
@@ -117,8 +119,8 @@ def test_public_layout_is_read_without_its_classes(tmp_path, foreign_classes, mo
     model = YoloV5("n", 2)
     expected = {name: tensor.half().float() for name, tensor in model.state_dict().items()}
     path = save_public(tmp_path / "public.pt", model, foreign_classes)
-    for name in ("models.common", "models.yolo"):
-        monkeypatch.delitem(sys.modules, name)
+    for module in foreign_classes:
+        monkeypatch.delitem(sys.modules, module.__name__)
 
     loaded = load_checkpoint(path)
 
