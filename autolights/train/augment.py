@@ -6,6 +6,7 @@ The only place that knows albumentations. Version 2.0.8 is its last release unde
 import os
 from collections.abc import Mapping, Sequence
 
+import cv2
 import numpy as np
 
 from autolights.core.arrays import FloatArray, ImageArray, IntArray
@@ -14,33 +15,69 @@ from autolights.core.signals import SignalSet
 from autolights.train.config import AugmentConfig
 
 os.environ["NO_ALBUMENTATIONS_UPDATE"] = "1"  # else it asks the network for a newer version when imported
-import albumentations
+from albumentations.augmentations.blur import functional as blurs
+from albumentations.augmentations.pixel import functional as pixels
 
 _NO_MIRROR = -1
+# NTSC; the first row is the luma of ITU-R BT.601, which OpenCV's grey is too.
+_YIQ_FROM_RGB = np.array([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
+_RGB_FROM_YIQ = np.linalg.inv(_YIQ_FROM_RGB)
 
 
 class PixelChanges:
-    """Gaussian blur and colour jitter, the same for the same random numbers."""
+    """Gaussian blur and colour jitter, the same for the same random numbers.
+
+    The random numbers are drawn here; albumentations' own pipeline takes longer to draw them than to change the pixels.
+    """
 
     def __init__(self, config: AugmentConfig) -> None:
-        self._compose = albumentations.Compose(
-            [
-                albumentations.GaussianBlur(blur_limit=0, sigma_limit=config.blur_sigma_px, p=config.blur),
-                albumentations.ColorJitter(
-                    brightness=(1 - config.brightness, 1 + config.brightness),
-                    contrast=(1 - config.contrast, 1 + config.contrast),
-                    saturation=(1 - config.saturation, 1 + config.saturation),
-                    hue=(-config.hue, config.hue),
-                    p=config.jitter,
-                ),
-            ]
-        )
+        self._config = config
 
     def __call__(self, image_rgb: ImageArray, rng: np.random.Generator) -> ImageArray:
-        """Change an (H, W, 3) RGB image; the given one stays as it is."""
-        self._compose.set_random_seed(int(rng.integers(2**31)))
-        changed: ImageArray = self._compose(image=image_rgb)["image"]
-        return changed
+        """Change an (H, W, 3) RGB image; the given one stays as it is, and comes back if nothing was drawn."""
+        config = self._config
+        if rng.random() < config.blur:
+            kernel = blurs.create_gaussian_kernel_1d(rng.uniform(*config.blur_sigma_px), 0)
+            image_rgb = pixels.separable_convolve(image_rgb, kernel)
+        if rng.random() < config.jitter:
+            matrix = colour_matrix(
+                brightness=rng.uniform(1 - config.brightness, 1 + config.brightness),
+                contrast=rng.uniform(1 - config.contrast, 1 + config.contrast),
+                saturation=rng.uniform(1 - config.saturation, 1 + config.saturation),
+                hue=rng.uniform(-config.hue, config.hue),
+                mean_rgb=np.array(cv2.mean(image_rgb)[:3]),
+            )
+            image_rgb = pixels.linear_transformation_rgb(image_rgb, matrix)
+        return image_rgb
+
+
+def colour_matrix(
+    *, brightness: float, contrast: float, saturation: float, hue: float, mean_rgb: FloatArray
+) -> FloatArray:
+    """All of a colour jitter as one affine map of colours, so that it costs one pass over the pixels.
+
+    Brightness, contrast and saturation are those of torchvision's and albumentations' ``ColorJitter``, which round and
+    clip after each. Hue turns about the grey axis instead of around the HSV cone: luma stays, and there is no way
+    through another colour space.
+
+    Args:
+        brightness: Factor of the colours.
+        contrast: Factor of their distance to the picture's mean luma.
+        saturation: Factor of their distance to their own luma.
+        hue: Share of a whole turn.
+        mean_rgb: (3,) of the picture.
+
+    Returns:
+        (3, 4) matrix that takes (red, green, blue, 1) to the new colour.
+    """
+    angle = 2 * np.pi * hue
+    turn_yiq = np.array([[1, 0, 0], [0, np.cos(angle), np.sin(angle)], [0, -np.sin(angle), np.cos(angle)]])
+    luma = _YIQ_FROM_RGB[0]
+    vivid = saturation * np.eye(3) + (1 - saturation) * luma
+    # Neither the turn nor the saturation changes luma; that is why the mean's is the old one, made brighter.
+    linear = brightness * vivid @ _RGB_FROM_YIQ @ turn_yiq @ _YIQ_FROM_RGB
+    mean_luma = brightness * luma @ mean_rgb
+    return np.column_stack([contrast * linear, np.full(3, (1 - contrast) * mean_luma)])
 
 
 def mirror_table(classes: Sequence[str], signals: SignalSet | None, mirrors: Mapping[str, str]) -> IntArray:
@@ -71,11 +108,8 @@ def may_flip(class_ids_in_view: IntArray, mirrors: IntArray) -> bool:
     return bool((mirrors[class_ids_in_view] != _NO_MIRROR).all())
 
 
-def flip(
-    image: ImageArray, boxes_xyxy: FloatArray, class_ids: IntArray, mirrors: IntArray
-) -> tuple[ImageArray, FloatArray, IntArray]:
-    """Mirror an image left to right, with its (n, 4) boxes in pixels and their classes."""
-    width = image.shape[1]
-    flipped = boxes_xyxy.copy()
-    flipped[:, [0, 2]] = width - boxes_xyxy[:, [2, 0]]
-    return np.ascontiguousarray(image[:, ::-1]), flipped, mirrors[class_ids]
+def mirror_boxes(boxes_xyxy: FloatArray, canvas_width_px: int) -> FloatArray:
+    """(n, 4) boxes as a mirror shows them, left to right."""
+    mirrored = boxes_xyxy.copy()
+    mirrored[:, [0, 2]] = canvas_width_px - boxes_xyxy[:, [2, 0]]
+    return mirrored

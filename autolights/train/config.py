@@ -98,7 +98,8 @@ class AugmentConfig(Config):
         brightness: Largest change, as a share.
         contrast: Largest change, as a share.
         saturation: Largest change, as a share.
-        hue: Largest shift, as a share of the colour circle. Red and amber are 0.1 apart: keep it small.
+        hue: Largest shift, as a share of the colour circle. Red and amber lamps are 0.06 apart and more: two shifts of
+            0.02 do not make them meet.
         min_visible: A label is dropped if less than this share of its box is left in view.
         min_side_px: A label is dropped if a side is shorter.
     """
@@ -114,7 +115,7 @@ class AugmentConfig(Config):
     brightness: float = Field(default=0.3, ge=0, lt=1)
     contrast: float = Field(default=0.2, ge=0, lt=1)
     saturation: float = Field(default=0.4, ge=0, lt=1)
-    hue: float = Field(default=0.005, ge=0, le=0.5)
+    hue: float = Field(default=0.005, ge=0, le=0.02)
     min_visible: _Share = 0.5
     min_side_px: float = Field(default=2.0, ge=0)
 

@@ -1,20 +1,25 @@
 """Batches of training samples: in which order, shared among which processes, made by which workers."""
 
+import itertools
+import math
 import multiprocessing
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader, Dataset, Sampler, get_worker_info
 
 from autolights.core.arrays import IntArray
 from autolights.core.errors import DataError
 from autolights.train.config import TrainConfig
 from autolights.train.dataset import TrainingSamples, Visit
 from autolights.train.processes import ALONE, Processes
+
+_AHEAD = 2  # batches that each worker makes in advance
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +39,10 @@ class Batch:
     def network_input(self, device: torch.device) -> Tensor:
         """(B, 3, H, W) in [0, 1]; the memory stays channels-last, which is twice as fast on CPUs."""
         return self.images.to(device, non_blocking=True).permute(0, 3, 1, 2).float().div_(255)
+
+    def pin_memory(self) -> Self:
+        """The same in memory from which a GPU can copy while it computes; torch's loader calls this."""
+        return replace(self, images=self.images.pin_memory(), labels=self.labels.pin_memory())
 
 
 class BatchLoader:
@@ -57,12 +66,14 @@ class BatchLoader:
         # Forked workers see the cache without a copy of it; where there is no fork they each get one.
         forked = config.workers > 0 and "fork" in multiprocessing.get_all_start_methods()
         self._loader: DataLoader[Batch] = DataLoader(
-            _Batches(samples),
+            _Batches(samples, -(-config.batch // processes.size)),
             batch_size=None,  # what the order yields is a batch already
             sampler=self._order,
             num_workers=config.workers,
             persistent_workers=config.workers > 0,
             multiprocessing_context="fork" if forked else None,
+            prefetch_factor=_AHEAD if config.workers else None,
+            pin_memory=torch.device(config.device).type == "cuda",
             worker_init_fn=_start_worker,
         )
 
@@ -71,7 +82,7 @@ class BatchLoader:
         return len(self._order)
 
     def epoch(self, number: int) -> Iterator[Batch]:
-        """The batches of an epoch, counted from 1.
+        """The batches of an epoch, counted from 1; each is overwritten some time after the next is asked for.
 
         Raises:
             DataError: If an image no longer decodes; the text names it.
@@ -90,6 +101,7 @@ class BatchLoader:
 class EpochOrder(Sampler[list[Visit]]):
     """All images in a new order each epoch, each as often as asked, in batches.
 
+    A batch gets the smallest canvas that holds what each of its images asks for; images that ask alike come together.
     The order over all processes does not depend on how many they are: each batch is dealt out among them in turn. A
     last batch that is not full is cut to a multiple of their number.
     """
@@ -118,8 +130,7 @@ class EpochOrder(Sampler[list[Visit]]):
         return -(-(len(self._canvases_wh) * self._repeats // size * size) // self._batch)
 
     def __iter__(self) -> Iterator[list[Visit]]:
-        count = len(self._canvases_wh)
-        order = np.random.default_rng((self._seed, self.epoch)).permutation(count * self._repeats) % count
+        order = self._shuffled()
         rank, size = self._processes.rank, self._processes.size
         for start in range(0, len(order) // size * size, self._batch):
             indices = order[start : start + self._batch]
@@ -130,16 +141,28 @@ class EpochOrder(Sampler[list[Visit]]):
             ]
             yield for_all[rank : len(for_all) // size * size : size]
 
+    def _shuffled(self) -> IntArray:
+        """Indices of images, in batches of like shape; images of a shape are shuffled, and so are the full batches."""
+        generator = np.random.default_rng((self._seed, self.epoch))
+        count = len(self._canvases_wh)
+        order = generator.permutation(count * self._repeats) % count
+        order = order[np.lexsort(self._canvases_wh[order].T)]  # keeps the order of equals
+        full = len(order) // self._batch
+        batches = order[: full * self._batch].reshape(full, self._batch)
+        return np.concatenate([generator.permutation(batches).ravel(), order[full * self._batch :]])
+
 
 class _Batches(Dataset[Batch]):
     """Batches made where they are asked for, in a worker or here."""
 
-    def __init__(self, samples: TrainingSamples) -> None:
+    def __init__(self, samples: TrainingSamples, largest_batch: int) -> None:
         self._samples = samples
+        self._largest_bytes = largest_batch * int(samples.canvases_wh.max(axis=0).prod()) * 3
+        self._shared: Iterator[Tensor] | None = None
 
     def __getitem__(self, visits: Sequence[Visit]) -> Batch:
         width, height = visits[0].canvas_wh
-        images = torch.empty((len(visits), height, width, 3), dtype=torch.uint8)
+        images = self._empty((len(visits), height, width, 3))
         labels = []
         for i, visit in enumerate(visits):
             rows = self._samples.draw(visit, images[i].numpy())
@@ -149,6 +172,21 @@ class _Batches(Dataset[Batch]):
             labels=torch.from_numpy(np.concatenate(labels).astype(np.float32)),
             indices=tuple(visit.index for visit in visits),
         )
+
+    def _empty(self, shape: tuple[int, ...]) -> Tensor:
+        """Memory for images; that of a worker is shared with the training process and used again and again.
+
+        Fresh shared memory would cost as much as what is drawn in it. The training process asks for a batch of this
+        worker when it is done with the one before, and then `_AHEAD` may be waiting or in the making.
+        """
+        if not get_worker_info():
+            return torch.empty(shape, dtype=torch.uint8)
+        if self._shared is None:
+            buffers = [torch.empty(self._largest_bytes, dtype=torch.uint8) for _ in range(_AHEAD + 1)]
+            for buffer in buffers:
+                buffer.share_memory_()  # type: ignore[no-untyped-call]
+            self._shared = itertools.cycle(buffers)
+        return next(self._shared)[: math.prod(shape)].view(shape)
 
 
 def _start_worker(_worker_id: int) -> None:

@@ -22,7 +22,8 @@ def images(tmp_path):
         (tmp_path / part).mkdir(parents=True)
     rng = np.random.default_rng(3)
     for i in range(6):
-        cv2.imwrite(str(tmp_path / f"images/train/{i}.png"), rng.integers(0, 255, (40, 60, 3), dtype=np.uint8))
+        shape = (30 + 10 * (i % 2), 60, 3)
+        cv2.imwrite(str(tmp_path / f"images/train/{i}.png"), rng.integers(0, 255, shape, dtype=np.uint8))
         (tmp_path / f"labels/train/{i}.txt").write_text(f"{i % 2} 0.5 0.5 0.4 0.4")
     return load_image_dataset(tmp_path, "train", classes=["ball", "arrow"])
 
@@ -71,17 +72,38 @@ def test_a_last_batch_with_less_than_an_image_for_each_process_is_left_out():
     assert [[len(batch) for batch in share] for share in batches] == [[2], [2], [2]]
 
 
-def test_workers_and_processes_make_the_same_batches(images):
-    alone, worker = (list(loader_of(images, workers=workers).epoch(4)) for workers in (0, 1))
-    halves = [list(loader_of(images, Processes(rank, 2)).epoch(4)) for rank in range(2)]
+def test_images_of_one_shape_come_together():
+    shapes = np.array([[96, 64], [64, 96]])
+    canvases_wh = shapes[[0, 1, 0, 0, 1, 0, 1, 0, 0, 1, 0]]  # seven wide, four high
+    order = EpochOrder(canvases_wh, repeats=1, seed=0, batch=2)
+    seen = []
+    for order.epoch in range(1, 30):
+        batches = list(order)
+        asked = [[tuple(canvases_wh[visit.index].tolist()) for visit in batch] for batch in batches]
+        for of, batch in zip(asked, batches, strict=True):
+            assert {visit.canvas_wh for visit in batch} == {tuple(np.max(of, axis=0).tolist())}
+        assert sum(len(set(of)) > 1 for of in asked) <= 1
+        assert sorted(visit.index for batch in batches for visit in batch) == list(range(11))
+        seen.append(asked[0][0])
 
-    assert [len(batch.indices) for batch in alone] == [4, 2]
-    for batch, same, *shares in zip(alone, worker, *halves, strict=True):
-        assert batch.indices == same.indices
-        assert torch.equal(batch.images, same.images)
-        assert torch.equal(batch.labels, same.labels)
-        for rank, share in enumerate(shares):
-            assert torch.equal(batch.images[rank::2], share.images)
+    assert set(seen) == {(96, 64), (64, 96)}  # not always the same shape first
+
+
+@pytest.mark.parametrize("rectangular", [False, True])
+def test_workers_and_processes_make_the_same_batches(images, rectangular):
+    """Compared one by one: a worker uses its memory again."""
+    settings = {"rectangular": rectangular, "batch": 2}
+    alone, worker = (loader_of(images, workers=workers, **settings) for workers in (0, 1))
+    halves = [loader_of(images, Processes(rank, 2), workers=1, **settings) for rank in range(2)]
+
+    assert len(alone) == len(worker) == len(halves[0]) == 3
+    for epoch in (4, 5):
+        for batch, same, *shares in zip(*(loader.epoch(epoch) for loader in (alone, worker, *halves)), strict=True):
+            assert batch.indices == same.indices
+            assert torch.equal(batch.images, same.images)
+            assert torch.equal(batch.labels, same.labels)
+            for rank, share in enumerate(shares):
+                assert torch.equal(batch.images[rank::2], share.images)
 
 
 def test_labels_are_numbered_by_image(images):

@@ -1,9 +1,10 @@
+import cv2
 import numpy as np
 import pytest
 
 from autolights.infer.letterbox import GREY
 from autolights.train.config import AugmentConfig, CropConfig
-from autolights.train.placement import place_crop, place_mosaic, place_whole, visible_part
+from autolights.train.placement import Placement, draw_placed, place_crop, place_mosaic, place_whole, visible_part
 
 STILL = AugmentConfig(rotate_deg=0, scale=0, translate=0)
 WHITE = 255
@@ -18,8 +19,8 @@ def image_with_light(size_wh, box_xyxy):
 
 
 def drawn(placement, image, side_px):
-    canvas = np.full((side_px, side_px, 3), GREY, np.uint8)
-    placement.draw(image, canvas)
+    canvas = np.empty((side_px, side_px, 3), np.uint8)
+    draw_placed([(image, placement)], canvas)
     return canvas
 
 
@@ -29,13 +30,50 @@ def extent_of_white(canvas):
 
 
 def test_a_whole_image_is_letterboxed():
-    placement = place_whole((80, 40), 160, STILL, np.random.default_rng(0))
+    placement = place_whole((80, 40), (160, 160), STILL, np.random.default_rng(0))
     canvas = drawn(placement, image_with_light((80, 40), (10, 10, 20, 30)), 160)
 
     np.testing.assert_allclose(placement.boxes(np.array([[10, 10, 20, 30]])), [[20, 60, 40, 100]])
     assert extent_of_white(canvas) == pytest.approx([20, 60, 40, 100], abs=1)
     assert (canvas[:39] == GREY).all()
     assert (canvas[121:] == GREY).all()
+
+
+def test_a_whole_image_fills_a_canvas_of_its_shape():
+    placement = place_whole((300, 190), (320, 224), STILL, np.random.default_rng(0))
+
+    corners = placement.boxes(np.array([[0, 0, 300, 190.0]]))[0]
+    scale = 320 / 300
+    np.testing.assert_allclose(corners, [0, 112 - 95 * scale, 320, 112 + 95 * scale])
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("scale", [0.3, 1.0, 2.6])
+def test_drawing_what_meets_draws_as_drawing_everything(seed, scale):
+    """Against one call over the whole canvas, in three channels."""
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 256, (70, 90, 3), dtype=np.uint8)
+    placement = Placement.turned_about(
+        rng.uniform(0, 80, 2), rng.uniform(-20, 120, 2), scale=scale, rotation_deg=rng.uniform(-20, 20)
+    )
+    matrix = placement.canvas_from_image.copy()
+    matrix[:, 2] += 0.5 * matrix[:, :2].sum(axis=1) - 0.5
+    expected = np.full((96, 96, 3), GREY, np.uint8)
+    cv2.warpAffine(image, matrix, (96, 96), dst=expected, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
+
+    difference = np.abs(drawn(placement, image, 96).astype(int) - expected)
+
+    assert (difference > 1).mean() < 0.002  # the shift is rounded otherwise, which a pixel at the edge may feel
+
+
+def test_a_mirrored_placement_draws_the_mirrored_canvas():
+    placement = Placement.turned_about(np.array([40, 20]), np.array([70.5, 64]), scale=1.3, rotation_deg=7)
+    image = image_with_light((80, 40), (10, 10, 20, 30))
+
+    mirrored = drawn(placement.mirrored(128), image, 128)
+
+    difference = np.abs(mirrored[:, ::-1].astype(int) - drawn(placement, image, 128))
+    assert difference.max() <= 2
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -48,11 +86,11 @@ def test_labels_stay_on_what_they_label(seed, rotate_deg):
     crops = CropConfig(size=192, scale=(0.6, 1.1), light_share=1.0)
 
     for placement in (
-        place_whole((640, 400), 192, config, rng),
+        place_whole((640, 400), (192, 192), config, rng),
         place_crop((640, 400), boxes, crops, rotate_deg, rng),
     ):
         moved = placement.boxes(boxes)
-        clipped, kept, _ = visible_part(moved, 192, config)
+        clipped, kept, _ = visible_part(moved, (192, 192), config)
         if kept[0]:
             extent = extent_of_white(drawn(placement, image, 192))
             assert extent == pytest.approx(clipped[0].tolist(), abs=2.5)
@@ -94,7 +132,7 @@ def test_four_images_meet_in_a_mosaic(seed):
 
     np.testing.assert_allclose(corners, np.tile(corners[0], (4, 1)), atol=1e-9)
     box = np.array([[8.0, 8, 40, 40]])
-    clipped, kept, _ = visible_part(placements[3].boxes(box), 128, config)
+    clipped, kept, _ = visible_part(placements[3].boxes(box), (128, 128), config)
     if kept[0]:
         extent = extent_of_white(drawn(placements[3], image_with_light((64, 64), (8, 8, 40, 40)), 128))
         assert extent == pytest.approx(clipped[0].tolist(), abs=2.5)
@@ -103,7 +141,7 @@ def test_four_images_meet_in_a_mosaic(seed):
 def test_labels_that_are_hardly_seen_are_dropped():
     boxes = np.array([[-4.0, 0, 6, 10], [-6, 0, 4, 10], [5, 5, 6.5, 30], [200, 0, 210, 10]])
 
-    clipped, kept, seen = visible_part(boxes, 100, AugmentConfig(min_visible=0.5, min_side_px=2))
+    clipped, kept, seen = visible_part(boxes, (100, 100), AugmentConfig(min_visible=0.5, min_side_px=2))
 
     assert kept.tolist() == [True, False, False, False]
     assert seen.tolist() == [True, True, True, False]
