@@ -1,8 +1,8 @@
 """Time training beside the public YOLOv5: images a second of the step, of the loader, and of both as in an epoch.
 
-Both sides get the same images, network, input, batch, augmentations (those of train/original) and processes, and take
-turns. The ratio of each round is that of neighbours in time, so a busy machine slows both. Without the package `yolov5`
-(PyPI, 7.0.14) only ours is timed.
+Both sides get the same images, weights, input, batch, workers and augmentations (those of train/original). Each has a
+process of its own, as settings of memory and threads belong to processes, and they take turns. The ratio of a round is
+that of neighbours in time, so a busy machine slows both. Without the package `yolov5` (PyPI, 7.0.14) ours runs alone.
 
     python tools/bench_train.py data=FOLDER weights=yolov5n.pt batch=16 workers=1 --sizes 320 640
 """
@@ -10,13 +10,16 @@ turns. The ratio of each round is that of neighbours in time, so a busy machine 
 import argparse
 import itertools
 import logging
+import multiprocessing
 import statistics
 import sys
 import tempfile
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
+from importlib.util import find_spec
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -27,11 +30,13 @@ import yaml
 from autolights.core import load_config
 from autolights.core.errors import AutolightsError, UsageError
 from autolights.core.progress import say, track
-from autolights.data import ImageDataset, load_image_dataset
+from autolights.data import load_image_dataset
 from autolights.train import TrainConfig
 from autolights.train.config import ScheduleConfig
 from autolights.train.dataset import TrainingSamples
 from autolights.train.loader import Batch, BatchLoader
+from autolights.train.memory import keep_freed_memory
+from autolights.train.model import YoloV5
 from autolights.train.preparation import build_model, initialise, schedule_of, start
 from autolights.train.processes import ALONE
 from autolights.train.steps import AUTOCAST, Steps
@@ -44,75 +49,50 @@ LEAST_BATCHES = 3  # in a turn, however long they take
 STEADY = ScheduleConfig(kind="linear", max_rate=1e-3, min_rate=1e-3, warmup_epochs=0)
 
 
-class Trainer(ABC):
-    """Whose speed is measured.
-
-    Attributes:
-        name: Its column.
-    """
-
-    name: str
-
-    @abstractmethod
-    def batches(self) -> Iterator[Any]:
-        """Its loader's batches, epoch after epoch without end."""
-
-    @abstractmethod
-    def own_form(self, batch: Batch) -> Any:
-        """The same images and labels as its own loader would give them."""
-
-    @abstractmethod
-    def step(self, batch: Any) -> None:
-        """Forward, loss, backward, optimiser, average of weights."""
-
-
-class Ours(Trainer):
+class Ours:
     """The engine's own loader and steps."""
 
     name = "autolights"
 
-    def __init__(self, config: TrainConfig, images: ImageDataset) -> None:
-        # Each class is its own mirror, so that flips happen as often as in the public loader.
-        samples = TrainingSamples(images, np.arange(len(images.classes)), config)
+    def __init__(self, config: TrainConfig, samples: TrainingSamples, model: YoloV5) -> None:
+        if config.device == "cpu":
+            keep_freed_memory()
         self._loader = BatchLoader(samples, config)
-        self.model = build_model(config, images.classes)
-        initialise(self.model, config)
-        self.model.to(device=config.device, memory_format=torch.channels_last)
         schedule = schedule_of(config, len(self._loader))
-        self._steps = Steps(start(self.model, config), schedule, config, class_weights=None, processes=ALONE)
+        model = model.to(config.device).to(memory_format=torch.channels_last)
+        self._steps = Steps(start(model, config), schedule, config, class_weights=None, processes=ALONE)
         self._steps.start_epoch()
 
     def batches(self) -> Iterator[Batch]:
-        """See Trainer."""
+        """The loader's batches, epoch after epoch without end."""
         return itertools.chain.from_iterable(self._loader.epoch(number) for number in itertools.count(1))
 
     def own_form(self, batch: Batch) -> Batch:
-        """See Trainer."""
+        """The same images and labels as its own loader would give them."""
         return batch
 
     def step(self, batch: Batch) -> None:
-        """See Trainer."""
+        """Forward, loss, backward, optimiser, average of weights."""
         self._steps.backward(batch, ends_epoch=False)
         self._steps.advance()
 
 
-class Public(Trainer):
+class Public:
     """The package's loader, network, loss, optimiser and average, called as its own loop calls them.
 
-    Its trainer's script is not imported: that would fetch a font and ask for accounts.
+    The trainer's script around them is left out: it fetches a font and imports clients of web services.
     """
 
     name = "yolov5"
 
-    def __init__(
-        self, config: TrainConfig, images_dir: Path, initial: dict[str, torch.Tensor], class_count: int
-    ) -> None:
+    def __init__(self, config: TrainConfig, samples: TrainingSamples, model: YoloV5) -> None:
         import yolov5
         from yolov5.models.yolo import Model
         from yolov5.utils.dataloaders import create_dataloader
         from yolov5.utils.loss import ComputeLoss
         from yolov5.utils.torch_utils import ModelEMA, smart_optimizer
 
+        class_count = len(model.classes)
         logging.getLogger("yolov5").setLevel(logging.WARNING)
         package = Path(yolov5.__file__).parent
         hyp = yaml.safe_load((package / "data" / "hyps" / "hyp.scratch-low.yaml").read_text(encoding="utf-8"))
@@ -122,9 +102,8 @@ class Public(Trainer):
             "cls": config.loss.class_gain * class_count / 80,
             "label_smoothing": 0.0,
         }
-        # Before the first step, as its workers are forked here.
         self._loader, _ = create_dataloader(
-            str(images_dir),
+            str(samples.images.image_paths[0].parent),
             config.image_size,
             config.batch,
             32,
@@ -136,7 +115,7 @@ class Public(Trainer):
         )
         self._device = torch.device(config.device)
         self._model = Model(package / "models" / f"yolov5{config.size}.yaml", ch=3, nc=class_count)
-        self._model.load_state_dict(initial)  # both name their layers alike
+        self._model.load_state_dict(model.state_dict())  # both name their layers alike
         self._model.to(self._device).train()
         self._model.hyp = hyp
         self._loss = ComputeLoss(self._model)
@@ -148,16 +127,16 @@ class Public(Trainer):
         self._clip_norm = config.optimizer.clip_norm
 
     def batches(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-        """See Trainer."""
+        """See Ours."""
         for images, labels, *_ in itertools.chain.from_iterable(itertools.repeat(self._loader)):
             yield images, labels
 
     def own_form(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
-        """See Trainer."""
+        """See Ours."""
         return batch.images.permute(0, 3, 1, 2).contiguous(), batch.labels
 
     def step(self, batch: tuple[torch.Tensor, torch.Tensor]) -> None:
-        """See Trainer."""
+        """See Ours."""
         images = batch[0].to(self._device, non_blocking=True).float() / 255
         with torch.autocast(self._device.type, self._amp_type, enabled=self._amp_type is not None):
             loss, parts = self._loss(self._model(images), batch[1].to(self._device))
@@ -172,7 +151,7 @@ class Public(Trainer):
 class Stopwatch:
     """Takes the turns of one trainer."""
 
-    def __init__(self, trainer: Trainer, fixed: list[Batch], config: TrainConfig) -> None:
+    def __init__(self, trainer: Ours | Public, fixed: list[Batch], config: TrainConfig) -> None:
         self._trainer = trainer
         self._fixed = itertools.cycle([trainer.own_form(batch) for batch in fixed])
         self._stream = trainer.batches()
@@ -232,34 +211,52 @@ def copy_images(config: TrainConfig, count: int, folder: Path) -> None:
     (folder / "data.yaml").write_text(yaml.safe_dump({"names": list(images.classes)}), encoding="utf-8")
 
 
-def trainers(config: TrainConfig, folder: Path) -> list[Trainer]:
-    """Ours, and the public one where it is installed; both start from the same weights."""
+def take_turns(trainer_type: type[Ours | Public], config: TrainConfig, folder: Path, remote: Connection) -> None:
+    """What a trainer's process does: get ready, then answer each part and seconds with images a second."""
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
     images = load_image_dataset(folder, "train")
-    ours = Ours(config, images)
-    try:
-        state = {name: tensor.clone() for name, tensor in ours.model.state_dict().items()}
-        return [ours, Public(config, folder / "images" / "train", state, len(images.classes))]
-    except ImportError as error:
-        say(f"autolights alone; for a comparison: pip install yolov5==7.0.14 ({error})")
-        return [ours]
+    # Each class is its own mirror, so that flips happen as often as in the public loader.
+    samples = TrainingSamples(images, np.arange(len(images.classes)), config)
+    model = build_model(config, images.classes)
+    initialise(model, config)
+    here = BatchLoader(samples, config.model_copy(update={"workers": 0}))
+    fixed = list(itertools.islice(here.epoch(1), FIXED_BATCHES))
+    watch = Stopwatch(trainer_type(config, samples, model), fixed, config)
+    with suppress(EOFError, BrokenPipeError):  # the other end is closed when all is measured
+        remote.send("ready")
+        while True:
+            remote.send(watch.images_per_second(*remote.recv()))
 
 
-def bench(config: TrainConfig, folder: Path, rounds: int, seconds: float) -> None:
+def bench(
+    trainer_types: list[type[Ours | Public]], config: TrainConfig, folder: Path, rounds: int, seconds: float
+) -> None:
     """Print a line for each part at one input size."""
-    contenders = trainers(config, folder)
-    fixed = list(itertools.islice(contenders[0].batches(), FIXED_BATCHES))
-    watches = {contender.name: Stopwatch(contender, fixed, config) for contender in contenders}
-    speeds: dict[tuple[Part, str], list[float]] = {(part, name): [] for part in PARTS for name in watches}
-    for number in track(range(rounds), description=f"{config.image_size} px", total=rounds, unit="rounds"):
-        for part in PARTS:
-            # Who goes first changes, so that a drift of the machine favours nobody.
-            for name in list(watches)[:: -1 if number % 2 else 1]:
-                speeds[part, name].append(watches[name].images_per_second(part, seconds))
+    spawn = multiprocessing.get_context("spawn")
+    speeds: dict[tuple[Part, str], list[float]] = {(part, each.name): [] for part in PARTS for each in trainer_types}
+    with ExitStack() as stack:
+        processes = {}
+        for each in trainer_types:
+            processes[each.name], remote = spawn.Pipe()
+            process = spawn.Process(target=take_turns, args=(each, config, folder, remote))
+            process.start()
+            stack.callback(process.join)
+            stack.callback(processes[each.name].close)
+            remote.close()
+            processes[each.name].recv()
+        for number in track(range(rounds), description=f"{config.image_size} px", total=rounds, unit="rounds"):
+            for part in PARTS:
+                # Who goes first changes, so that a drift of the machine favours nobody.
+                for name in list(processes)[:: -1 if number % 2 else 1]:
+                    processes[name].send((part, seconds))
+                    speeds[part, name].append(processes[name].recv())
     for part in PARTS:
         line = f"{config.image_size:4d}  {part:7s}"
-        for name in watches:
-            line += f"  {name} {statistics.median(speeds[part, name]):6.1f}"
-        if len(watches) > 1:
+        for each in trainer_types:
+            line += f"  {each.name} {statistics.median(speeds[part, each.name]):6.1f}"
+        if len(trainer_types) > 1:
             ratios = sorted(a / b for a, b in zip(speeds[part, Ours.name], speeds[part, Public.name], strict=True))
             line += f"  ratio {statistics.median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f})"
         print(line, flush=True)
@@ -277,21 +274,24 @@ def main() -> None:
 
     try:
         configs = [settings(size, arguments.overrides) for size in arguments.sizes]
-        if configs[0].threads:
-            torch.set_num_threads(configs[0].threads)
-        torch.manual_seed(configs[0].seed)
+        trainer_types: list[type[Ours | Public]] = [Ours, Public] if find_spec("yolov5") else [Ours]
+        if Public not in trainer_types:
+            say("autolights alone; for a comparison: pip install yolov5==7.0.14")
         with tempfile.TemporaryDirectory() as folder:
             copy_images(configs[0], arguments.images, Path(folder))
             print(
                 f"images a second, median of {arguments.rounds} turns of {arguments.seconds:g} s: "
                 f"YOLOv5{configs[0].size}, batch {configs[0].batch}, workers {configs[0].workers}, "
-                f"threads {torch.get_num_threads()}, {configs[0].device}, torch {version('torch')}",
+                f"threads {configs[0].threads or torch.get_num_threads()}, {configs[0].device}, "
+                f"torch {version('torch')}",
                 flush=True,
             )
             for config in configs:
-                bench(config, Path(folder), arguments.rounds, arguments.seconds)
+                bench(trainer_types, config, Path(folder), arguments.rounds, arguments.seconds)
     except AutolightsError as error:
         sys.exit(f"error: {error}")
+    except EOFError:
+        sys.exit("error: the process of one side ended early; it says why above")
 
 
 if __name__ == "__main__":
