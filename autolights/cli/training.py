@@ -19,6 +19,9 @@ def train(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with the run in --out; begin if it has no whole epoch yet.")
     ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Tell what the run would be made of, and stop; writes nothing.")
+    ] = False,
 ) -> None:
     """Train a detector on a YOLO-format folder.
 
@@ -27,6 +30,7 @@ def train(
 
     \b
     Examples:
+      autolights train train/demo data=runs/images --dry-run
       autolights train train/demo data=runs/images --out runs/train
       autolights train train/photos data=photos weights=yolov5n.pt epochs=20 --out runs/photos
       autolights train runs/photos/config.yaml --out runs/photos --resume
@@ -34,10 +38,14 @@ def train(
       tensorboard --logdir runs/train/tensorboard
     """
     from autolights.core import load_config
-    from autolights.train import TrainConfig
+    from autolights.train import TrainConfig, describe_run
     from autolights.train import train as train_detector
 
-    result = train_detector(load_config(config, TrainConfig, overrides or ()), out, force=force, resume=resume)
+    settings = load_config(config, TrainConfig, overrides or ())
+    if dry_run:
+        typer.echo(describe_run(settings))
+        return
+    result = train_detector(settings, out, force=force, resume=resume)
     if os.environ.get("RANK", "0") == "0":  # of torchrun's processes one speaks
         typer.echo(result.best_path)
 

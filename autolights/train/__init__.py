@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from autolights.train.config import TrainConfig
     from autolights.train.curves import save_curves
+    from autolights.train.dry_run import describe_run
     from autolights.train.engine import TrainResult, train
     from autolights.train.export import ExportReport, export_onnx
     from autolights.train.hmm_fitting import fit_hmm
@@ -27,6 +28,7 @@ _HOMES = {
     "TrainResult": "engine",
     "YoloV5": "model",
     "describe_network": "network_info",
+    "describe_run": "dry_run",
     "detect_dataset": "validate",
     "evaluate_detector": "validate",
     "export_onnx": "export",
@@ -49,6 +51,7 @@ __all__ = [
     "TrainResult",
     "YoloV5",
     "describe_network",
+    "describe_run",
     "detect_dataset",
     "evaluate_detector",
     "export_onnx",

@@ -17,12 +17,14 @@ from autolights.train.config import TrainConfig
 from autolights.train.distributed import copy_from_main, join_processes, told_by_main
 from autolights.train.environment import describe_environment
 from autolights.train.loader import Batch
+from autolights.train.memory import keep_freed_memory
 from autolights.train.metrics import DetectionMetrics
 from autolights.train.out_of_memory import advise
 from autolights.train.pictures import draw_batch
 from autolights.train.preparation import (
     TrainingData,
     build_model,
+    check_anchors,
     check_feasible,
     initialise,
     load_training_data,
@@ -183,12 +185,15 @@ def _prepare(
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
+    if device.type == "cpu":
+        keep_freed_memory()
     data = load_training_data(config, processes)
     model = build_model(config, data.images.classes)
     if saved:
         saved.check_data(data.fingerprint)
     else:
         initialise(model, config)
+        check_anchors(model, config, data.samples)
     state = start(model.to(device).to(memory_format=torch.channels_last), config)
     if saved:
         saved.restore(state)

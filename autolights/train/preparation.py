@@ -12,6 +12,7 @@ from autolights.core import IntArray, load_signals
 from autolights.core.errors import UsageError
 from autolights.core.progress import say
 from autolights.data.image_dataset import ImageDataset, load_image_dataset
+from autolights.train.anchors import fit_anchors
 from autolights.train.augment import mirror_table
 from autolights.train.config import TrainConfig
 from autolights.train.dataset import TrainingSamples
@@ -101,6 +102,12 @@ def initialise(model: YoloV5, config: TrainConfig) -> None:
     """
     if config.weights:
         say(f"{config.weights}: {start_from(model, config.weights)}")
+
+
+def check_anchors(model: YoloV5, config: TrainConfig, samples: TrainingSamples) -> None:
+    """Let the anchors fit the labels, if that is wanted, and say how far they do."""
+    if config.anchors == "auto":
+        say(fit_anchors(model, samples.sides_px(), seed=config.seed))
 
 
 def start(model: YoloV5, config: TrainConfig) -> RunState:
