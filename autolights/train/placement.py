@@ -69,14 +69,16 @@ def draw_placed(placed: Sequence[tuple[ImageArray, Placement]], canvas_rgb: Imag
 def _draw(image_rgb: ImageArray, placement: Placement, canvas_rgba: ImageArray) -> None:
     """Draw one image, looking at no more pixels of it and of the canvas than meet."""
     matrix = placement.canvas_from_image
-    left, top, right, bottom = _landing(matrix, (0, 0, *image_rgb.shape[1::-1]), canvas_rgba.shape[1::-1])
-    if left >= right or top >= bottom:
+    covered = _landing(matrix, (0, 0, *image_rgb.shape[1::-1]), canvas_rgba.shape[1::-1])
+    if covered is None:
         return
+    left, top, right, bottom = covered
     image_from_canvas = np.asarray(cv2.invertAffineTransform(matrix), dtype=np.float64)
     # What is interpolated at the edge needs one more pixel.
-    first_x, first_y, last_x, last_y = _landing(
-        image_from_canvas, (left, top, right, bottom), image_rgb.shape[1::-1], margin_px=1
-    )
+    needed = _landing(image_from_canvas, covered, image_rgb.shape[1::-1], margin_px=1)
+    if needed is None:  # the box around a turned image met the canvas, the image does not
+        return
+    first_x, first_y, last_x, last_y = needed
     shifted = matrix.copy()
     # OpenCV counts from the centre of the first pixel, edge coordinates from its corner.
     shifted[:, 2] += matrix[:, :2] @ (first_x + 0.5, first_y + 0.5) - (left + 0.5, top + 0.5)
@@ -92,8 +94,8 @@ def _draw(image_rgb: ImageArray, placement: Placement, canvas_rgba: ImageArray) 
 
 def _landing(
     matrix: FloatArray, box_xyxy: tuple[float, float, float, float], size_wh: tuple[int, int], *, margin_px: int = 0
-) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the pixels that a box touches once it is mapped; empty if it misses them all.
+) -> tuple[int, int, int, int] | None:
+    """Left, top, right, bottom of the pixels that a box touches once it is mapped; None if it misses them all.
 
     Plain numbers: for a single box, arrays would take several times as long.
     """
@@ -104,6 +106,8 @@ def _landing(
         half = (abs(along_x) * (right - left) + abs(along_y) * (bottom - top)) / 2 + margin_px
         edges.append((max(math.floor(centre - half), 0), min(math.ceil(centre + half), size)))
     (first_x, last_x), (first_y, last_y) = edges
+    if first_x >= last_x or first_y >= last_y:
+        return None
     return first_x, first_y, last_x, last_y
 
 

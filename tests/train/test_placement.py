@@ -47,23 +47,34 @@ def test_a_whole_image_fills_a_canvas_of_its_shape():
     np.testing.assert_allclose(corners, [0, 112 - 95 * scale, 320, 112 + 95 * scale])
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("rotate_deg", [0, 40])
 @pytest.mark.parametrize("scale", [0.3, 1.0, 2.6])
-def test_drawing_what_meets_draws_as_drawing_everything(seed, scale):
-    """Against one call over the whole canvas, in three channels."""
-    rng = np.random.default_rng(seed)
-    image = rng.integers(0, 256, (70, 90, 3), dtype=np.uint8)
-    placement = Placement.turned_about(
-        rng.uniform(0, 80, 2), rng.uniform(-20, 120, 2), scale=scale, rotation_deg=rng.uniform(-20, 20)
-    )
-    matrix = placement.canvas_from_image.copy()
-    matrix[:, 2] += 0.5 * matrix[:, :2].sum(axis=1) - 0.5
-    expected = np.full((96, 96, 3), GREY, np.uint8)
-    cv2.warpAffine(image, matrix, (96, 96), dst=expected, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
+def test_drawing_what_meets_draws_as_drawing_everything(scale, rotate_deg):
+    """Against one call over the whole canvas, in three channels; edges aside, which OpenCV smears over the outline."""
+    covered = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        image = rng.integers(0, 256, (70, 90, 3), dtype=np.uint8)
+        placement = Placement.turned_about(
+            rng.uniform(0, 80, 2),
+            rng.uniform(-90, 180, 2),
+            scale=scale,
+            rotation_deg=rng.uniform(-rotate_deg, rotate_deg),
+        )
+        matrix = placement.canvas_from_image.copy()
+        matrix[:, 2] += 0.5 * matrix[:, :2].sum(axis=1) - 0.5
+        expected = np.full((96, 96, 3), GREY, np.uint8)
+        cv2.warpAffine(image, matrix, (96, 96), dst=expected, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
 
-    difference = np.abs(drawn(placement, image, 96).astype(int) - expected)
+        difference = np.abs(drawn(placement, image, 96).astype(int) - expected).max(axis=2)
 
-    assert (difference > 1).mean() < 0.002  # the shift is rounded otherwise, which a pixel at the edge may feel
+        centres = np.stack(np.meshgrid(np.arange(96), np.arange(96)), axis=-1) + 0.5
+        in_image = (centres - placement.canvas_from_image[:, 2]) @ np.linalg.inv(placement.canvas_from_image[:, :2]).T
+        inside = (np.abs(in_image - (45, 35)) < (44, 34)).all(axis=2)
+        outside = (np.abs(in_image - (45, 35)) > (46, 36)).any(axis=2)
+        assert difference[inside | outside].max(initial=0) <= 1
+        covered += inside.sum()
+    assert covered > 500
 
 
 def test_a_mirrored_placement_draws_the_mirrored_canvas():
