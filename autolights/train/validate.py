@@ -20,6 +20,7 @@ from autolights.infer.decode import decode
 from autolights.infer.letterbox import InputBuffer, Letterbox, rectangle_for
 from autolights.train.average_precision import average_precision
 from autolights.train.confusion import count_confusions
+from autolights.train.memory import keep_freed_memory
 from autolights.train.metrics import DetectionMetrics
 from autolights.train.operating_point import THRESHOLDS, recall_by_height, sweep_thresholds
 from autolights.train.predictions import Labels, Predictions
@@ -156,6 +157,7 @@ def detect_dataset(
     lowest_threshold = min(score_threshold, float(THRESHOLDS[0]))
     seen: dict[int, tuple[Labels, Predictions, Predictions]] = {}
     unreadable: list[int] = []
+    keep_freed_memory()
     was_training = model.training
     model.to(device=device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
     try:
