@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from autolights.train.config import TrainConfig
+from autolights.train.run_folder import RunFolder
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +29,12 @@ def lights(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (root / f"labels/{split}/{i}.txt").write_text(label)
     (root / "data.yaml").write_text("names: [red, green]\ntrain: images/train\nval: images/val\n")
     return root
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the pictures of a validation: they take longer than such a run."""
+    monkeypatch.setattr(RunFolder, "_draw_best", lambda self: None)
 
 
 @pytest.fixture

@@ -1,8 +1,12 @@
 """What a run would be, told without training."""
 
+import pytest
+
 from autolights.train.dry_run import describe_run
 from autolights.train.engine import train
 from autolights.train.steps import Steps
+
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def test_a_dry_run_tells_network_data_steps_and_rates(tiny, capsys):

@@ -1,7 +1,9 @@
 """What people are shown of a run."""
 
+import cv2
 import torch
 
+from autolights.train.engine import train
 from autolights.train.loader import Batch
 from autolights.train.pictures import draw_batch
 
@@ -16,3 +18,10 @@ def test_the_picture_of_a_batch_shows_each_sample_with_its_labels():
     assert picture[8, 64 + 16 : 64 + 49].all(axis=0)[1:].all()
     assert not picture[:, :64].any()
     assert not picture[32:].any()
+
+
+def test_a_run_leaves_pictures_of_a_batch_and_of_its_best_epoch(tiny, tmp_path):
+    train(tiny(epochs=1), tmp_path)
+
+    for name in ("batch.jpg", "predictions.jpg", "pr_curves.png"):
+        assert cv2.imread(str(tmp_path / name)) is not None, name

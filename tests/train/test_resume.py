@@ -18,6 +18,8 @@ from autolights.train.engine import train
 from autolights.train.steps import Steps
 from autolights.train.tensor_file import save_tensors
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 _SLOW_PROGRAM = """
 import time
 from autolights.cli import main

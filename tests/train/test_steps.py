@@ -8,6 +8,8 @@ from autolights.train.engine import train
 from autolights.train.steps import Steps
 from autolights.train.weights import read_checkpoint
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def test_gradients_are_summed_to_the_nominal_batch(tiny, tmp_path, monkeypatch):
     stepped = []
