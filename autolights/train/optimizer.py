@@ -26,8 +26,8 @@ def build_optimizer(model: nn.Module, config: OptimizerConfig, *, weight_decay: 
     ]
     # The rate is set before each step.
     if config.kind == "sgd":
-        return SGD(groups, lr=0.0, momentum=config.momentum, nesterov=config.momentum > 0)
-    return AdamW(groups, lr=0.0, betas=(config.momentum, 0.999))
+        return SGD(groups, lr=0.0, momentum=config.momentum, nesterov=config.momentum > 0, fused=True)
+    return AdamW(groups, lr=0.0, betas=(config.momentum, 0.999), fused=True)
 
 
 def set_rates(optimizer: Optimizer, rates: Rates) -> None:
