@@ -112,7 +112,7 @@ def train(config: TrainConfig, out_dir: Path, *, force: bool = False, resume: bo
                 _train_and_validate(run, run.state.epoch + 1)
         except (KeyboardInterrupt, SystemExit, AutolightsError):
             done = run.folder.epochs_kept if run.folder else 0
-            kept = f"{out_dir} holds epoch {done}, go on with --resume" if done else "nothing was written"
+            kept = f"{out_dir} holds epoch {done}, go on with --resume" if done else "there is nothing to go on from"
             say(f"stopped in epoch {done + 1} of {config.epochs}; {kept}")
             raise
         finally:
