@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torchvision.ops import box_convert, complete_box_iou_loss, sigmoid_focal_loss
+from torchvision.ops import sigmoid_focal_loss
 
 from autolights.train.assign import Assignment, assign
+from autolights.train.complete_iou import complete_iou
 from autolights.train.config import LossConfig
 from autolights.train.processes import ALONE, Processes
 
@@ -141,9 +142,7 @@ def _ciou(logits: Tensor, anchors: Tensor, positives: Assignment) -> Tensor:
     values = logits[:, :4].sigmoid()
     centres = values[:, :2] * 2 - 0.5
     sides = (values[:, 2:] * 2) ** 2 * anchors
-    predicted = box_convert(torch.cat([centres, sides], dim=1), "cxcywh", "xyxy")
-    loss: Tensor = complete_box_iou_loss(predicted, box_convert(positives.boxes, "cxcywh", "xyxy"))
-    return 1 - loss
+    return complete_iou(torch.cat([centres, sides], dim=1), positives.boxes)
 
 
 def _keep_best(wanted: Tensor, positives: Assignment, overlap: Tensor) -> None:
