@@ -39,8 +39,8 @@ def random_nano(size_wh: tuple[int, int], folder: Path) -> tuple[Path, ModelInfo
     """Export a nano with 13 classes and random weights."""
     import torch
 
-    from autolights.train.export import export_onnx
-    from autolights.train.model import YoloV5
+    from autolights.train.deliver.export import export_onnx
+    from autolights.train.network.model import YoloV5
 
     torch.manual_seed(0)
     report = export_onnx(YoloV5("n", 13), folder / "nano.onnx", size_wh=size_wh)

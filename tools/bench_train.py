@@ -33,13 +33,13 @@ from autolights.core.progress import say, track
 from autolights.data import load_image_dataset
 from autolights.train import TrainConfig
 from autolights.train.config import ScheduleConfig
-from autolights.train.dataset import TrainingSamples
-from autolights.train.loader import Batch, BatchLoader
 from autolights.train.memory import keep_freed_memory
-from autolights.train.model import YoloV5
-from autolights.train.preparation import build_model, initialise, schedule_of, start
+from autolights.train.network.model import YoloV5
 from autolights.train.processes import ALONE
-from autolights.train.steps import AUTOCAST, Steps
+from autolights.train.run.preparation import build_model, initialise, schedule_of, start
+from autolights.train.run.steps import AUTOCAST, Steps
+from autolights.train.samples.dataset import TrainingSamples
+from autolights.train.samples.loader import Batch, BatchLoader
 
 Part = Literal["step", "loader", "epoch"]
 PARTS: tuple[Part, ...] = get_args(Part)

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from autolights.core.errors import AutolightsError, DataError
 from autolights.data import ImageDataset, load_image_dataset
-from autolights.train.bootstrap import compare_detectors
-from autolights.train.predictions import Labels, load_predictions
+from autolights.train.measure.bootstrap import compare_detectors
+from autolights.train.measure.predictions import Labels, load_predictions
 
 
 def read_labels(dataset: ImageDataset) -> tuple[list[Path], list[Labels]]:

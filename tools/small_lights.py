@@ -28,9 +28,9 @@ from autolights.data import ImageDataset, load_image_dataset
 from autolights.infer import Detector
 from autolights.infer.letterbox import rectangle_for
 from autolights.train import export_onnx, load_checkpoint
-from autolights.train.complexity import gflops
-from autolights.train.operating_point import recall_by_height, sweep_thresholds
-from autolights.train.predictions import Labels, Predictions
+from autolights.train.measure.operating_point import recall_by_height, sweep_thresholds
+from autolights.train.measure.predictions import Labels, Predictions
+from autolights.train.network.complexity import gflops
 
 OVERLAP_PX = 96  # of neighbouring tiles: a light of that size lies whole in one of them
 IOU_THRESHOLD = 0.5

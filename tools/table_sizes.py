@@ -26,9 +26,9 @@ from autolights.data import ImageDataset, load_image_dataset
 from autolights.infer import Detector
 from autolights.infer.letterbox import rectangle_for
 from autolights.train import TrainConfig, YoloV5, evaluate_detector, export_onnx, load_checkpoint, train
-from autolights.train.complexity import gflops, parameter_count
-from autolights.train.environment import describe_environment
+from autolights.train.network.complexity import gflops, parameter_count
 from autolights.train.processes import ALONE
+from autolights.train.run.environment import describe_environment
 
 HEADS = ("", "parameters", "GFLOPs", "FPS", "AP", "AP50", "AP75", "AP_S", "AP_M")
 PAPER_ROWS = (  # Wu et al. 2023, Table II

@@ -15,7 +15,7 @@ from autolights.pipeline import PipelineConfig
 from autolights.run_drive import run_drive
 from autolights.sim import DrivesConfig, ImagesConfig, simulate_drives, simulate_images
 from autolights.train import TrainConfig, evaluate_detector, export_onnx, fit_hmm, load_checkpoint, train
-from autolights.train.weights import weights_path
+from autolights.train.network.weights import weights_path
 
 _PARITY_IMAGES = 4  # real images on which the export is compared with the network, beside random ones
 

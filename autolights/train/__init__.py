@@ -5,41 +5,41 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from autolights.train.config import TrainConfig
-    from autolights.train.curves import save_curves
-    from autolights.train.dry_run import describe_run
-    from autolights.train.engine import TrainResult, train
-    from autolights.train.export import ExportReport, export_onnx
-    from autolights.train.hmm_fitting import fit_hmm
-    from autolights.train.metrics import DetectionMetrics
-    from autolights.train.metrics_table import metrics_as_text
-    from autolights.train.model import YoloV5
-    from autolights.train.network_info import NetworkInfo, describe_network
-    from autolights.train.prediction_sheet import save_sheet
-    from autolights.train.predictions import load_predictions, save_predictions
-    from autolights.train.validate import DatasetDetections, detect_dataset, evaluate_detector
-    from autolights.train.weights import load_checkpoint
+    from autolights.train.deliver.export import ExportReport, export_onnx
+    from autolights.train.deliver.hmm_fitting import fit_hmm
+    from autolights.train.measure.curves import save_curves
+    from autolights.train.measure.metrics import DetectionMetrics
+    from autolights.train.measure.metrics_table import metrics_as_text
+    from autolights.train.measure.prediction_sheet import save_sheet
+    from autolights.train.measure.predictions import load_predictions, save_predictions
+    from autolights.train.measure.validate import DatasetDetections, detect_dataset, evaluate_detector
+    from autolights.train.network.model import YoloV5
+    from autolights.train.network.network_info import NetworkInfo, describe_network
+    from autolights.train.network.weights import load_checkpoint
+    from autolights.train.run.dry_run import describe_run
+    from autolights.train.run.engine import TrainResult, train
 
 _HOMES = {
-    "DatasetDetections": "validate",
-    "DetectionMetrics": "metrics",
-    "ExportReport": "export",
-    "NetworkInfo": "network_info",
+    "DatasetDetections": "measure.validate",
+    "DetectionMetrics": "measure.metrics",
+    "ExportReport": "deliver.export",
+    "NetworkInfo": "network.network_info",
     "TrainConfig": "config",
-    "TrainResult": "engine",
-    "YoloV5": "model",
-    "describe_network": "network_info",
-    "describe_run": "dry_run",
-    "detect_dataset": "validate",
-    "evaluate_detector": "validate",
-    "export_onnx": "export",
-    "fit_hmm": "hmm_fitting",
-    "load_checkpoint": "weights",
-    "load_predictions": "predictions",
-    "metrics_as_text": "metrics_table",
-    "save_curves": "curves",
-    "save_predictions": "predictions",
-    "save_sheet": "prediction_sheet",
-    "train": "engine",
+    "TrainResult": "run.engine",
+    "YoloV5": "network.model",
+    "describe_network": "network.network_info",
+    "describe_run": "run.dry_run",
+    "detect_dataset": "measure.validate",
+    "evaluate_detector": "measure.validate",
+    "export_onnx": "deliver.export",
+    "fit_hmm": "deliver.hmm_fitting",
+    "load_checkpoint": "network.weights",
+    "load_predictions": "measure.predictions",
+    "metrics_as_text": "measure.metrics_table",
+    "save_curves": "measure.curves",
+    "save_predictions": "measure.predictions",
+    "save_sheet": "measure.prediction_sheet",
+    "train": "run.engine",
 }
 
 __all__ = [

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from autolights.core.config import Config
-from autolights.train.model import MAX_STRIDE, Size
+from autolights.train.network.model import MAX_STRIDE, Size
 
 _Share = Annotated[float, Field(ge=0, le=1)]
 

@@ -7,7 +7,7 @@ import pytest
 from autolights.core import Bundle, ConfusionMatrix, InitialWeights, ModelInfo, load_signals
 from autolights.core.bundle import load_model_info
 from autolights.core.errors import BundleError, UsageError
-from autolights.train.hmm_fitting import fit_hmm
+from autolights.train.deliver.hmm_fitting import fit_hmm
 
 SIGNALS = load_signals()
 FILES = ["confusion.json", "hmm.json", "manifest.json", "model.onnx", "signals.yaml"]

@@ -8,7 +8,7 @@ from autolights.core import Bundle, ConfusionMatrix, load_signals
 from autolights.core.errors import UsageError
 from autolights.detect import detect_files
 from autolights.infer import Detector
-from autolights.train.hmm_fitting import fit_hmm
+from autolights.train.deliver.hmm_fitting import fit_hmm
 
 SIGNALS = load_signals()
 

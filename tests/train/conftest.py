@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from autolights.train.config import TrainConfig
-from autolights.train.run_folder import RunFolder
+from autolights.train.run.run_folder import RunFolder
 
 
 @pytest.fixture(scope="session")

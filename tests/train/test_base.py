@@ -3,7 +3,7 @@
 import numpy as np
 
 from autolights.core import load_signals
-from autolights.train.weights import BASE_PATH, read_checkpoint
+from autolights.train.network.weights import BASE_PATH, read_checkpoint
 
 
 def test_base_checkpoint_is_small_and_free() -> None:

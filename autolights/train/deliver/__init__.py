@@ -1,0 +1,1 @@
+"""What goes into the car: ONNX and the HMMs."""

@@ -1,0 +1,1 @@
+"""What the network is told by a batch: assignment, loss, rates, steps."""

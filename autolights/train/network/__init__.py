@@ -1,0 +1,1 @@
+"""The detector network: layers, checkpoints, and what it costs."""
