@@ -212,7 +212,7 @@ def bundle(
                --confusion runs/val/confusion.json --out runs/bundle
     """
     from autolights.core import Bundle, ConfusionMatrix, load_hmm, load_signals
-    from autolights.core.bundle import load_model_info
+    from autolights.core.model_info import load_model_info
     from autolights.core.progress import say
 
     made = Bundle(

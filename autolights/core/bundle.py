@@ -3,9 +3,7 @@
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
-
-from pydantic import Field
+from typing import Self
 
 import autolights
 from autolights.core.atomic import new_folder, sha256
@@ -14,44 +12,10 @@ from autolights.core.confusion import ConfusionMatrix
 from autolights.core.errors import AutolightsError, BundleError
 from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
 from autolights.core.json_files import read_json_object, validated, write_json
+from autolights.core.model_info import FORMAT_VERSION, ModelInfo
 from autolights.core.signals import SignalSet, load_signals
 
-FORMAT_VERSION = 1
 MODEL, SIGNALS, HMM, CONFUSION, MANIFEST = "model.onnx", "signals.yaml", "hmm.json", "confusion.json", "manifest.json"
-
-
-class InitialWeights(Config):
-    """What the training started from: name, SHA-256 and licence."""
-
-    name: str
-    sha256: str
-    licence: str
-
-
-class ModelInfo(Config):
-    """What a reader of ``model.onnx`` must know; written by the export and kept in the manifest.
-
-    Attributes:
-        classes: In the order of the output's columns.
-        size_wh: Input width and height in pixels.
-        layout: ``raw``: (1, N, 5 + C) centre x, y, width, height in input pixels, objectness, class probabilities.
-        precision: Of the weights.
-        opset: ONNX operator set.
-        score_threshold: Detections below it are dropped; also that of the confusion matrix.
-        initial_weights: What the training started from; None if it started from nothing.
-        parity: Largest differences between the network and its export, on what.
-        training: Figures of the training run (AP, epochs, ...).
-    """
-
-    classes: tuple[str, ...]
-    size_wh: tuple[int, int]
-    layout: Literal["raw"] = "raw"
-    precision: Literal["fp32"] = "fp32"
-    opset: int
-    score_threshold: float = Field(default=0.25, gt=0, lt=1)
-    initial_weights: InitialWeights | None = None
-    parity: dict[str, Any] = Field(default_factory=dict)
-    training: dict[str, Any] = Field(default_factory=dict)
 
 
 class Manifest(Config):
@@ -150,17 +114,6 @@ class Bundle:
             raise BundleError(str(error)) from error
 
 
-def load_model_info(model_path: Path) -> ModelInfo:
-    """Read the description that the export wrote beside a model (``model.onnx`` → ``model.json``).
-
-    Raises:
-        BundleError: If it is missing or breaks the format.
-    """
-    path = model_path.with_suffix(".json")
-    values = read_json_object(path, error=BundleError, hint="`autolights export` writes it")
-    return validated(ModelInfo, values, path, error=BundleError)
-
-
 def _read_manifest(path: Path) -> Manifest:
     values = read_json_object(path, error=BundleError, hint="is this a bundle?")
     version = values.get("format_version")
@@ -169,5 +122,9 @@ def _read_manifest(path: Path) -> Manifest:
     if version > FORMAT_VERSION:
         raise BundleError(
             f"{path}: format {version} is newer than {FORMAT_VERSION}; upgrade autolights or export again"
+        )
+    if version < FORMAT_VERSION:
+        raise BundleError(
+            f"{path}: format {version} is older than {FORMAT_VERSION}; make it again: export, then bundle"
         )
     return validated(Manifest, values, path, error=BundleError)

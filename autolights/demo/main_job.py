@@ -5,8 +5,8 @@ from typing import Any
 
 from autolights.core import Bundle, ConfusionMatrix, load_config, load_hmm, load_signals, save_hmm
 from autolights.core.atomic import refuse_existing, sha256
-from autolights.core.bundle import load_model_info
 from autolights.core.json_files import read_json_object, write_json
+from autolights.core.model_info import load_model_info
 from autolights.data import Drive, load_image_dataset
 from autolights.demo.config import DemoConfig
 from autolights.demo.stages import Stages

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from autolights.core import Bundle, ConfusionMatrix, InitialWeights, ModelInfo, load_signals
-from autolights.core.bundle import load_model_info
 from autolights.core.errors import BundleError, UsageError
+from autolights.core.model_info import load_model_info
 from autolights.train.deliver.hmm_fitting import fit_hmm
 
 SIGNALS = load_signals()
@@ -67,8 +67,9 @@ def test_incomplete_bundle(folder, name):
     ("change", "message"),
     [
         pytest.param(
-            {"format_version": 2}, r"manifest\.json: format 2 is newer than 1; upgrade autolights", id="newer"
+            {"format_version": 3}, r"manifest\.json: format 3 is newer than 2; upgrade autolights", id="newer"
         ),
+        pytest.param({"format_version": 1}, r"manifest\.json: format 1 is older than 2; make it again", id="older"),
         pytest.param({"format_version": None}, r"manifest\.json: no format_version; is this a bundle\?", id="none"),
         pytest.param({"colour": "red"}, r"manifest\.json: colour: Extra inputs are not permitted", id="unknown-key"),
         pytest.param({"model": {}}, r"manifest\.json: model.classes: Field required", id="field"),

@@ -17,8 +17,8 @@ import autolights
 from autolights.core import ImageArray, InitialWeights, ModelInfo
 from autolights.core.atomic import new_file
 from autolights.core.boxes import match_boxes
-from autolights.core.bundle import FORMAT_VERSION
 from autolights.core.errors import ParityError, UsageError
+from autolights.core.model_info import FORMAT_VERSION
 from autolights.infer.decode import decode
 from autolights.infer.letterbox import InputBuffer
 from autolights.infer.session import OnnxSession
@@ -189,7 +189,7 @@ def _write_onnx(model: YoloV5, info: ModelInfo, path: Path) -> None:
     facts = {
         "names": json.dumps(list(info.classes)),
         "size_wh": json.dumps(list(info.size_wh)),
-        "layout": info.layout,
+        "head": info.head,
         "format_version": str(FORMAT_VERSION),
         "program_version": autolights.__version__,
     }

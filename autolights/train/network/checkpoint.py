@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from torch import Tensor
 
 import autolights
-from autolights.core.bundle import InitialWeights
 from autolights.core.errors import CheckpointError
+from autolights.core.model_info import InitialWeights
 from autolights.train.network.model import FINE_STRIDES, STRIDES, Size
 from autolights.train.network.tensor_file import save_tensors
 

@@ -10,7 +10,7 @@ from typing import Literal, cast
 import torch
 from torch import Tensor, nn
 
-from autolights.core.bundle import InitialWeights
+from autolights.core.model_info import InitialWeights
 
 Size = Literal["n", "s", "m", "l", "x"]
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from autolights.core.bundle import InitialWeights
+from autolights.core.model_info import InitialWeights
 from autolights.train.network.complexity import gflops, parameter_count
 from autolights.train.network.model import SIZES, Size, YoloV5
 from autolights.train.network.weights import load_checkpoint, read_checkpoint, weights_path

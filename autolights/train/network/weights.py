@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from autolights.core.atomic import sha256
-from autolights.core.bundle import InitialWeights
 from autolights.core.errors import CheckpointError, UsageError
+from autolights.core.model_info import InitialWeights
 from autolights.train.network.checkpoint import Checkpoint
 from autolights.train.network.model import YoloV5
 from autolights.train.network.public_checkpoint import read_public_checkpoint

@@ -8,8 +8,8 @@ from torch.amp.grad_scaler import GradScaler
 from torch.optim import Optimizer
 
 import autolights
-from autolights.core.bundle import InitialWeights
 from autolights.core.errors import CheckpointError, ConfigError, DataError
+from autolights.core.model_info import InitialWeights
 from autolights.train.config import TrainConfig
 from autolights.train.learning.ema import WeightAverage
 from autolights.train.network.model import YoloV5

@@ -6,8 +6,8 @@ from torch import nn
 
 from autolights.core import InitialWeights
 from autolights.core.boxes import match_boxes
-from autolights.core.bundle import load_model_info
 from autolights.core.errors import ParityError, UsageError
+from autolights.core.model_info import load_model_info
 from autolights.infer import Detector, decode
 from autolights.infer.letterbox import InputBuffer
 from autolights.train.deliver import export
@@ -81,7 +81,7 @@ def test_file_is_small_typed_and_tells_what_it_is(model, tmp_path):
     assert [d.dim_value for d in inferred.output[0].type.tensor_type.shape.dim] == [1, rows, 8]
     properties = {entry.key: entry.value for entry in proto.metadata_props}
     assert properties["names"] == '["3-red", "3-green", "3-yellow"]'
-    assert (properties["size_wh"], properties["layout"]) == ("[96, 64]", "raw")
+    assert (properties["size_wh"], properties["head"]) == ("[96, 64]", "raw")
     assert load_model_info(report.path) == report.info
     assert (report.info.classes, report.info.size_wh, report.info.opset) == (CLASSES, SIZE_WH, 17)
     assert (report.info.score_threshold, report.info.initial_weights) == (0.3, weights)

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from autolights.cli.info import info
-from autolights.core.bundle import InitialWeights
 from autolights.core.errors import UsageError
+from autolights.core.model_info import InitialWeights
 from autolights.train import YoloV5, describe_network
 from autolights.train.network.checkpoint import Checkpoint
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from autolights.core.bundle import InitialWeights
 from autolights.core.errors import CheckpointError, UsageError
+from autolights.core.model_info import InitialWeights
 from autolights.train.network import weights
 from autolights.train.network.checkpoint import Checkpoint
 from autolights.train.network.model import ANCHORS_PX, FINE_STRIDES, STRIDES, YoloV5
