@@ -8,7 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import autolights
-from autolights.cli import info, proof, runtime, simulation, training
+from autolights.cli import delivery, info, proof, runtime, simulation, training
 from autolights.core.errors import AutolightsError
 
 _HELP = """
@@ -62,9 +62,9 @@ _VERBS: dict[str, Callable[..., None]] = {
     "train": training.train,
     "val": training.val,
     "info": info.info,
-    "export": training.export,
-    "fit-hmm": training.fit_hmm,
-    "bundle": training.bundle,
+    "export": delivery.export,
+    "fit-hmm": delivery.fit_hmm,
+    "bundle": delivery.bundle,
     "run": runtime.run,
     "detect": runtime.detect,
     "evaluate": proof.evaluate,

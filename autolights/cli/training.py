@@ -1,14 +1,14 @@
-"""The verbs that make a bundle: train, val, export, fit-hmm, bundle."""
+"""The verbs that make and measure a detector: train, val."""
 
 import json
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from autolights.cli.options import Force, Json, Out, Overrides, Signals
-from autolights.core.errors import ConfigError, UsageError
+from autolights.cli.options import Force, Json, Out, Overrides
+from autolights.core.errors import UsageError
 
 
 def train(
@@ -111,129 +111,3 @@ def val(
         if save_predictions:
             save(folder / "predictions.json", detections.image_paths, detections.predictions)
     typer.echo(json.dumps(metrics.to_json()) if as_json else metrics_as_text(metrics))
-
-
-def export(
-    checkpoint: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="best.pt of a training run.")],
-    out: Out = Path("runs/export/model.onnx"),
-    size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
-    score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the runtime.")] = 0.25,
-    metrics: Annotated[
-        Path | None, typer.Option(exists=True, dir_okay=False, help="metrics.json of `val`, kept in the manifest.")
-    ] = None,
-    image: Annotated[
-        list[str] | None, typer.Option(help="Images to compare on, beside random ones; repeatable.")
-    ] = None,
-    force: Force = False,
-) -> None:
-    """Export a checkpoint to ONNX and check it number by number against the network it came from.
-
-    Writes the model and a description (.json) beside it; if they disagree nothing is written.
-
-    \b
-    Example: autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
-    """
-    from autolights.core.atomic import refuse_existing
-    from autolights.core.json_files import read_json_object
-    from autolights.infer import ImageSources
-    from autolights.train import export_onnx, load_checkpoint
-
-    for path in (out, out.with_suffix(".json")):
-        refuse_existing(path, force=force)
-    width, cross, height = size.partition("x")
-    if not (cross and width.isdigit() and height.isdigit()):
-        raise UsageError(f"--size must read WIDTHxHEIGHT, e.g. 960x608, got {size!r}")
-    report = export_onnx(
-        load_checkpoint(checkpoint),
-        out,
-        size_wh=(int(width), int(height)),
-        score_threshold=score_threshold,
-        images=[source.image_bgr for source in ImageSources(image)] if image else (),
-        training=read_json_object(metrics) if metrics else None,
-    )
-    typer.echo(f"{out}: {json.dumps(report.info.parity)}")
-
-
-def fit_hmm(
-    confusion: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="confusion.json of `val`.")],
-    signals: Signals = "signals/autolights_13",
-    out: Out = Path("runs/export/hmm.json"),
-    pseudocount: Annotated[float, typer.Option(min=0, help="Added to each cell, in counts.")] = 1.0,
-    prior: Annotated[
-        str, typer.Option(help="Over states: uniform, or empirical (the data's class balance).")
-    ] = "uniform",
-    frame_rate: Annotated[float, typer.Option(min=0.1, help="Nominal sets of frames per second.")] = 10.0,
-    overrides: Annotated[
-        Path | None, typer.Option(exists=True, dir_okay=False, help="YAML with hand-tuned matrices by type.")
-    ] = None,
-    force: Force = False,
-) -> None:
-    """Fit one HMM per type of light: rates from the signal description, observations from the confusion matrix.
-
-    \b
-    Example: autolights fit-hmm runs/val/confusion.json --out runs/export/hmm.json
-    """
-    from autolights.core import ConfusionMatrix, load_signals, save_hmm
-    from autolights.core.atomic import refuse_existing
-    from autolights.train import fit_hmm as fit
-
-    refuse_existing(out, force=force)
-    if prior not in ("uniform", "empirical"):
-        raise UsageError(f"--prior must be uniform or empirical, got {prior!r}")
-    hmm = fit(
-        ConfusionMatrix.load(confusion),
-        load_signals(signals),
-        nominal_dt_s=1 / frame_rate,
-        pseudocount=pseudocount,
-        prior="uniform" if prior == "uniform" else "empirical",
-        overrides=_read_overrides(overrides) if overrides else None,
-    )
-    save_hmm(out, hmm)
-    typer.echo(out)
-
-
-def bundle(
-    model: Annotated[
-        Path,
-        typer.Option(
-            exists=True, dir_okay=False, help="model.onnx of `export`; its description (.json) lies beside it."
-        ),
-    ],
-    hmm: Annotated[Path, typer.Option(exists=True, dir_okay=False, help="hmm.json of `fit-hmm`.")],
-    confusion: Annotated[Path, typer.Option(exists=True, dir_okay=False, help="confusion.json of `val`.")],
-    signals: Signals = "signals/autolights_13",
-    out: Out = Path("runs/bundle"),
-    force: Force = False,
-) -> None:
-    """Assemble what the runtime needs into one folder with hashes, and verify it.
-
-    \b
-    Example: autolights bundle --model runs/export/model.onnx --hmm runs/export/hmm.json \\
-               --confusion runs/val/confusion.json --out runs/bundle
-    """
-    from autolights.core import Bundle, ConfusionMatrix, load_hmm, load_signals
-    from autolights.core.model_info import load_model_info
-    from autolights.core.progress import say
-
-    made = Bundle(
-        model=load_model_info(model),
-        model_path=model,
-        signals=load_signals(signals),
-        hmm=load_hmm(hmm),
-        confusion=ConfusionMatrix.load(confusion),
-    )
-    initial = made.model.initial_weights
-    if initial and "AGPL" in initial.licence:
-        say(f"warning: the weights descend from {initial.name} ({initial.licence}); check that you may ship them")
-    made.save(out, force=force)
-    Bundle.load(out)
-    typer.echo(out)
-
-
-def _read_overrides(path: Path) -> dict[str, Any]:
-    from autolights.core.config import read_yaml
-
-    values = read_yaml(path)
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: must hold fields by type of light, got {type(values).__name__}")
-    return values
