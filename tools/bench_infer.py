@@ -55,7 +55,7 @@ def bench(model_path: Path, info: ModelInfo, threads: int, seconds: float) -> No
     session = OnnxSession(model_path, info, threads=threads)
     buffer, blob = InputBuffer(info.size_wh), np.empty((1, 3, height, width), dtype=np.float32)
     letterbox = buffer.fill(image, blob[0])
-    raw = session.run(blob)[0].copy()
+    raw = session.run(blob)[0][0].copy()
     raw[:, 4:] = 0.01
     raw[random.choice(len(raw), 50, replace=False), 4:] = 0.9  # about what ten lights leave above the threshold
 

@@ -7,6 +7,8 @@ import numpy as np
 
 from autolights.core.arrays import FloatArray, IntArray
 
+_NMS_BLOCK = 64  # boxes compared at once; with few more are done than needed, with many the pairs fill the cache
+
 
 def cxcywh_from_xyxy(boxes_xyxy: FloatArray) -> FloatArray:
     """(n, 4) left, top, right, bottom → (n, 4) centre x, centre y, width, height."""
@@ -89,19 +91,30 @@ def nms(boxes_xyxy: FloatArray, scores: FloatArray, *, iou_threshold: float, max
         (k,) indices of the kept boxes, best first.
     """
     order = np.argsort(-scores, kind="stable")
-    boxes = boxes_xyxy[order]
-    areas = area(boxes)
-    alive = np.ones(len(order), dtype=bool)
+    edges = np.ascontiguousarray(boxes_xyxy[order].T)
     kept: list[int] = []
-    for i in range(len(order)):
-        if not alive[i]:
-            continue
-        kept.append(int(order[i]))
-        if len(kept) == max_boxes:
-            break
-        rest = slice(i + 1, None)
-        sides = np.minimum(boxes[rest, 2:], boxes[i, 2:]) - np.maximum(boxes[rest, :2], boxes[i, :2])
-        np.maximum(sides, 0, out=sides)
-        intersection = sides[:, 0] * sides[:, 1]
-        alive[rest] &= intersection <= iou_threshold * (areas[rest] + areas[i] - intersection)
+    while order.size:
+        # The best few against all that are left, at once: what remains to be done box by box is a row of "or".
+        few = min(len(order), _NMS_BLOCK)
+        left, top, right, bottom = edges
+        intersection = np.minimum(right[:few, None], right)
+        intersection -= np.maximum(left[:few, None], left)
+        np.maximum(intersection, 0, out=intersection)
+        heights = np.minimum(bottom[:few, None], bottom)
+        heights -= np.maximum(top[:few, None], top)
+        intersection *= np.maximum(heights, 0, out=heights)
+        areas = np.maximum(right - left, 0) * np.maximum(bottom - top, 0)
+        limit = areas[:few, None] + areas
+        limit -= intersection
+        limit *= iou_threshold
+        overlaps = intersection > limit
+        dropped = np.zeros(len(order), dtype=bool)
+        for i in range(few):
+            if not dropped[i]:
+                kept.append(int(order[i]))
+                if len(kept) == max_boxes:
+                    return np.array(kept, dtype=np.int64)
+                dropped |= overlaps[i]
+        dropped[:few] = True
+        order, edges = order[~dropped], edges[:, ~dropped]
     return np.array(kept, dtype=np.int64)

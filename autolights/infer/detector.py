@@ -1,15 +1,20 @@
 """The detector that ships: an image in, lights out."""
 
+import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Self
 
 import numpy as np
 
-from autolights.core import Bundle, Detections, ImageArray, ModelInfo
-from autolights.infer.decode import decode
-from autolights.infer.letterbox import InputBuffer
-from autolights.infer.session import OnnxSession
+from autolights.core import Bundle, Detections, FloatArray, ImageArray, ModelInfo
+from autolights.infer.decode import decode_outputs
+from autolights.infer.execution import Execution, open_session
+from autolights.infer.letterbox import InputBuffer, Letterbox
+from autolights.infer.region import Region, view_of
+from autolights.infer.session import Session
 
 
 class Detector:
@@ -18,46 +23,72 @@ class Detector:
     Args:
         model_path: The ONNX file.
         info: Its description.
+        execution: How it is run; by default in ONNX Runtime on the CPU.
         score_threshold: Instead of the description's.
-        providers: See `OnnxSession`.
-        threads: See `OnnxSession`.
+
+    Raises:
+        UsageError: If the file is missing, what `execution` asks for is not there, or the head yields no class vectors.
+        DataError: If the file is no model, or is not as described.
     """
 
     def __init__(
         self,
         model_path: Path,
         info: ModelInfo,
+        execution: Execution | None = None,
         *,
         score_threshold: float | None = None,
-        providers: Sequence[str] | None = None,
-        threads: int | None = None,
     ) -> None:
         self.classes = info.classes
         self.score_threshold = info.score_threshold if score_threshold is None else score_threshold
-        width, height = info.size_wh
-        self._session = OnnxSession(model_path, info, providers=providers, threads=threads)
-        self._buffer = InputBuffer(info.size_wh)
-        self._blob = np.empty((1, 3, height, width), dtype=np.float32)
+        self.execution = execution or Execution()
+        self._model_path = model_path
+        self._info = info
+        # A single image has all threads, streams share them. Who only ever asks for one of the two loads only that.
+        self._single: _Lane | None = None
+        self._streams = self.execution.streams if self.execution.streams > 1 else 0
+        self._free: SimpleQueue[_Lane] = SimpleQueue()
+        if self._streams:
+            for _ in range(self._streams):
+                self._free.put(self._open(self.execution.threads_of_stream))
+            self._workers = ThreadPoolExecutor(self._streams, thread_name_prefix="detector")
+        else:
+            self._whole_machine()
 
     @classmethod
     def from_bundle(
         cls,
         bundle: Bundle,
+        execution: Execution | None = None,
         *,
-        score_threshold: float | None = None,
         providers: Sequence[str] | None = None,
         threads: int | None = None,
+        score_threshold: float | None = None,
     ) -> Self:
-        """The detector of a bundle."""
-        return cls(
-            bundle.model_path, bundle.model, score_threshold=score_threshold, providers=providers, threads=threads
-        )
+        """The detector of a bundle.
 
-    def __call__(self, image_bgr: ImageArray) -> Detections:
+        Args:
+            bundle: The bundle.
+            execution: How it is run; by default as `autolights tune` found best on this machine for this bundle, if it
+                was asked, else in ONNX Runtime on the CPU.
+            providers: Shorthand for an execution in ONNX Runtime with these providers.
+            threads: Shorthand for an execution with so many threads.
+            score_threshold: Instead of the bundle's.
+
+        Raises:
+            UsageError: See the class.
+            DataError: See the class.
+        """
+        if execution is None and (providers is not None or threads is not None):
+            execution = Execution(providers=tuple(providers or ()), threads=threads)
+        return cls(bundle.model_path, bundle.model, execution, score_threshold=score_threshold)
+
+    def __call__(self, image_bgr: ImageArray, region: Region | None = None) -> Detections:
         """Detect lights in one image.
 
         Args:
             image_bgr: (H, W, 3) uint8 as OpenCV reads it.
+            region: Where lights can be; by default anywhere. See `batch`.
 
         Returns:
             Detections in pixels of this image, best first.
@@ -66,15 +97,96 @@ class Detector:
             ValueError: If the image is not (H, W, 3) uint8 or has no pixels.
         """
         _check_image(image_bgr)
-        letterbox = self._buffer.fill(image_bgr, self._blob[0])
-        return decode(self._session.run(self._blob)[0], letterbox, score_threshold=self.score_threshold)
+        return self._whole_machine().detect([image_bgr], [self._view(image_bgr, region)])[0]
 
-    def batch(self, images_bgr: Sequence[ImageArray]) -> list[Detections]:
+    def batch(
+        self, images_bgr: Sequence[ImageArray], regions: Sequence[Region | None] | None = None
+    ) -> list[Detections]:
         """Detect lights in several images, whose sizes may differ; see `__call__`.
 
-        They run one after the other: on a CPU a larger batch is no faster, and each image is ready sooner.
+        On a GPU a model of free batch size takes images of one input size in one call. On a CPU a larger batch is no
+        faster; there images run one after the other, or side by side in streams.
+
+        Args:
+            images_bgr: (H, W, 3) uint8 each.
+            regions: Of each image the part in which lights can be, or None for all of it. What is looked at may be
+                larger, if that costs nothing, and keeps the image's resolution where the model's input allows it.
+
+        Returns:
+            Detections of each image, in pixels of that image.
         """
-        return [self(image_bgr) for image_bgr in images_bgr]
+        if regions is None:
+            regions = [None] * len(images_bgr)
+        for image_bgr in images_bgr:
+            _check_image(image_bgr)
+        views = [self._view(*pair) for pair in zip(images_bgr, regions, strict=True)]
+        if self._streams and len(views) > 1:
+            return list(self._workers.map(self._in_free_stream, images_bgr, views))
+        single = self._whole_machine()
+        if len(views) > 1 and self._info.dynamic_batch and single.on_gpu:
+            return self._together(single, images_bgr, views)
+        return [single.detect([image_bgr], [view])[0] for image_bgr, view in zip(images_bgr, views, strict=True)]
+
+    def _view(self, image_bgr: ImageArray, region: Region | None) -> Letterbox:
+        return view_of((image_bgr.shape[1], image_bgr.shape[0]), region, self._info)
+
+    def _open(self, threads: int | None) -> "_Lane":
+        session = open_session(self._model_path, self._info, self.execution, threads=threads)
+        return _Lane(session, self._info, self.score_threshold)
+
+    def _whole_machine(self) -> "_Lane":
+        if self._single is None:
+            self._single = self._open(self.execution.threads)
+        return self._single
+
+    def _in_free_stream(self, image_bgr: ImageArray, view: Letterbox) -> Detections:
+        lane = self._free.get()
+        try:
+            return lane.detect([image_bgr], [view])[0]
+        finally:
+            self._free.put(lane)
+
+    def _together(
+        self, lane: "_Lane", images_bgr: Sequence[ImageArray], views: Sequence[Letterbox]
+    ) -> list[Detections]:
+        """Images of one input size in one call."""
+        found: dict[int, Detections] = {}
+        for input_wh in dict.fromkeys(view.input_wh for view in views):
+            group = [i for i, view in enumerate(views) if view.input_wh == input_wh]
+            results = lane.detect([images_bgr[i] for i in group], [views[i] for i in group])
+            found.update(zip(group, results, strict=True))
+        return [found[i] for i in range(len(views))]
+
+
+class _Lane:
+    """One session with input memory of its own."""
+
+    def __init__(self, session: Session, info: ModelInfo, score_threshold: float) -> None:
+        self.on_gpu = session.on_gpu
+        self._session = session
+        self._info = info
+        self._score_threshold = score_threshold
+        self._buffer = InputBuffer(info.size_wh)
+        self._memory: FloatArray = np.empty(0, dtype=np.float16 if info.half_io else np.float32)
+
+    def detect(self, images_bgr: Sequence[ImageArray], views: Sequence[Letterbox]) -> list[Detections]:
+        """Run images of one input size in one call."""
+        blob = self._blob(len(views), views[0].input_wh)
+        for image_bgr, view, out in zip(images_bgr, views, blob, strict=True):
+            self._buffer.fill(image_bgr, out, view)
+        outputs = self._session.run(blob)
+        return [
+            decode_outputs(outputs, i, view, self._info, score_threshold=self._score_threshold)
+            for i, view in enumerate(views)
+        ]
+
+    def _blob(self, count: int, input_wh: tuple[int, int]) -> FloatArray:
+        """(count, 3, height, width) of the memory, which grows to the largest input that ever came."""
+        shape = (count, 3, input_wh[1], input_wh[0])
+        size = math.prod(shape)
+        if size > len(self._memory):
+            self._memory = np.empty(size, dtype=self._memory.dtype)
+        return self._memory[:size].reshape(shape)
 
 
 def _check_image(image_bgr: ImageArray) -> None:

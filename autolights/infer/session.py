@@ -2,25 +2,55 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import onnxruntime
 
 from autolights.core import FloatArray, ModelInfo
 from autolights.core.errors import DataError, UsageError
+from autolights.infer.ports import Port, check_ports
+
+CPU = "CPUExecutionProvider"
+# Where the memory of a provider's own tensors is; all others work on the host's.
+_DEVICES = {"CUDAExecutionProvider": "cuda", "TensorrtExecutionProvider": "cuda"}
+_PACKAGES = {
+    "CUDAExecutionProvider": "onnxruntime-gpu, CUDA and cuDNN",
+    "TensorrtExecutionProvider": "onnxruntime-gpu, CUDA and TensorRT",
+    "OpenVINOExecutionProvider": "onnxruntime-openvino; or choose the backend 'openvino'",
+}
+
+
+class Session(Protocol):
+    """A model that can be run, by whatever library."""
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether it computes elsewhere, so that several images in one call pay."""
+        ...
+
+    def run(self, blob: FloatArray) -> tuple[FloatArray, ...]:
+        """Run the network on (B, 3, H, W) RGB in [0, 1].
+
+        Returns:
+            Of a ``raw`` head one array, (B, N, 5 + C); of an ``end2end`` head boxes, scores and class_probs. They may
+            be views of memory that the next call overwrites.
+        """
+        ...
 
 
 class OnnxSession:
-    """Run a model of fixed input size.
+    """Run a model in ONNX Runtime.
 
     Args:
         model_path: The ONNX file.
         info: What the model must look like.
         providers: ONNX Runtime's execution providers in order of preference; None: the CPU.
         threads: Within an operator; None leaves the choice to ONNX Runtime.
+        io_binding: Keep inputs and outputs in memory of the provider's device from call to call; None: on a GPU.
 
     Raises:
-        UsageError: If the file is missing or a provider is not there.
+        UsageError: If the file is missing or a provider cannot be had.
         DataError: If the file is no model, or input or output differ from `info`.
     """
 
@@ -31,14 +61,17 @@ class OnnxSession:
         *,
         providers: Sequence[str] | None = None,
         threads: int | None = None,
+        io_binding: bool | None = None,
     ) -> None:
         if not model_path.is_file():
             raise UsageError(f"{model_path}: no such model; make one with `autolights export`")
-        wanted = list(providers or ["CPUExecutionProvider"])
+        wanted = list(providers or [CPU])
         available = onnxruntime.get_available_providers()
-        absent = [name for name in wanted if name not in available]
-        if absent:
-            raise UsageError(f"ONNX Runtime has no provider '{absent[0]}' here; there are: {', '.join(available)}")
+        for name in wanted:
+            if name not in available:
+                raise UsageError(
+                    f"ONNX Runtime has no provider '{name}' here; there are: {', '.join(available)}{_advice(name)}"
+                )
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3  # errors only: its warnings are about its own optimiser
         # Threads that wait actively lose to any busy neighbour: nano at 960 x 608 on 2 cores took 62 ms instead of 25
@@ -50,35 +83,69 @@ class OnnxSession:
             self._session = onnxruntime.InferenceSession(str(model_path), options, providers=wanted)
         except Exception as error:  # ONNX Runtime has a class of its own for each kind of damage
             raise DataError(f"{model_path}: ONNX Runtime cannot read it ({_first_line(error)})") from error
-        self._input_name = _check_ports(self._session, model_path, info)
-
-    def run(self, blob: FloatArray) -> FloatArray:
-        """Run the network.
-
-        Args:
-            blob: (1, 3, H, W) float32, RGB in [0, 1].
-
-        Returns:
-            (1, N, 5 + C) float32 raw output.
-        """
-        return np.asarray(self._session.run(None, {self._input_name: blob})[0])
-
-
-def _check_ports(session: onnxruntime.InferenceSession, model_path: Path, info: ModelInfo) -> str:
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    width, height = info.size_wh
-    if len(inputs) != 1 or inputs[0].shape != [1, 3, height, width]:
-        raise DataError(
-            f"{model_path}: input must be [1, 3, {height}, {width}] as described, "
-            f"got {[port.shape for port in inputs]}; export again"
+        # One that cannot be started (a library or driver is missing) is silently left out.
+        absent = [name for name in wanted if name not in self._session.get_providers()]
+        if absent:
+            raise UsageError(f"ONNX Runtime's provider '{absent[0]}' does not start here{_advice(absent[0])}")
+        self._input_name, self._output_names = check_ports(
+            [_port(node) for node in self._session.get_inputs()],
+            [_port(node) for node in self._session.get_outputs()],
+            model_path,
+            info,
         )
-    columns = 5 + len(info.classes)
-    if len(outputs) != 1 or len(outputs[0].shape) != 3 or outputs[0].shape[2] != columns:
-        raise DataError(
-            f"{model_path}: output must be [1, N, {columns}] for {len(info.classes)} classes, "
-            f"got {[port.shape for port in outputs]}; export again"
-        )
-    return str(inputs[0].name)
+        self._device = _DEVICES.get(wanted[0], "cpu")
+        bound = self.on_gpu if io_binding is None else io_binding
+        self._binding = _Binding(self._session, self._input_name, self._output_names, self._device) if bound else None
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether the preferred provider computes on a GPU."""
+        return self._device != "cpu"
+
+    def run(self, blob: FloatArray) -> tuple[FloatArray, ...]:
+        """See `Session`; with I/O binding the next call overwrites what is returned."""
+        if self._binding is not None:
+            return self._binding.run(blob)
+        return tuple(self._session.run(self._output_names, {self._input_name: blob}))
+
+
+class _Binding:
+    """Tensors on the device that stay from call to call, as long as the input keeps its shape."""
+
+    def __init__(
+        self, session: onnxruntime.InferenceSession, input_name: str, output_names: Sequence[str], device: str
+    ) -> None:
+        self._session = session
+        self._input_name = input_name
+        self._output_names = output_names
+        self._device = device
+        self._binding = session.io_binding()
+        self._input: Any = None
+
+    def run(self, blob: FloatArray) -> tuple[FloatArray, ...]:
+        if self._input is None or tuple(self._input.shape()) != blob.shape:
+            self._bind(blob)
+        self._input.update_inplace(np.ascontiguousarray(blob))
+        self._session.run_with_iobinding(self._binding)
+        return tuple(value.numpy() for value in self._binding.get_outputs())
+
+    def _bind(self, blob: FloatArray) -> None:
+        self._input = onnxruntime.OrtValue.ortvalue_from_shape_and_type(list(blob.shape), blob.dtype, self._device, 0)
+        self._binding.clear_binding_inputs()
+        self._binding.bind_ortvalue_input(self._input_name, self._input)
+        # The first run makes the outputs on the device; the binding holds them, and later runs write into them.
+        self._binding.clear_binding_outputs()
+        for name in self._output_names:
+            self._binding.bind_output(name, self._device)
+
+
+def _port(node: Any) -> Port:
+    shape = tuple(length if isinstance(length, int) else None for length in node.shape)
+    return Port(node.name, shape, {"tensor(float)": "float32", "tensor(float16)": "float16"}.get(node.type, node.type))
+
+
+def _advice(provider: str) -> str:
+    return f"; it needs {_PACKAGES[provider]}" if provider in _PACKAGES else ""
 
 
 def _first_line(error: Exception) -> str:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autolights.core.boxes import iou_matrix
-from autolights.infer.decode import decode
+from autolights.infer.decode import decode, decode_chosen
 from autolights.infer.letterbox import Letterbox
 
 SAME_SIZE = Letterbox((640, 416), (640, 416))
@@ -86,3 +86,31 @@ def test_suppression_against_its_definition(seed):
     np.testing.assert_array_equal(found.boxes_xyxy, everything.boxes_xyxy[kept])
     assert (np.diff(found.scores) <= 0).all()
     np.testing.assert_array_equal(raw, before)
+
+
+def test_what_the_graph_has_chosen():
+    found = decode_chosen(
+        np.array([[90, 170, 110, 230], [0, 0, 20, 5], [300, 100, 320, 160], [0, 0, 0, 0]], np.float32),
+        np.array([0.72, 0.6, 0.3, 0], np.float32),
+        np.array([[0.1, 0.8, 0.3], [0.9, 0, 0], [0.2, 0.1, 0.6], [0, 0, 0]], np.float32),
+        Letterbox((1280, 800), (640, 416)),
+        score_threshold=0.25,
+    )
+
+    # the second box lies in the grey rows above the image
+    np.testing.assert_allclose(found.boxes_xyxy, [[180, 324, 220, 444], [600, 184, 640, 304]])
+    np.testing.assert_allclose(found.objectness, [0.9, 0.5], atol=1e-7)
+    np.testing.assert_allclose(found.scores, [0.72, 0.3], atol=1e-7)
+    assert found.class_ids.tolist() == [1, 2]
+
+
+def test_halves_never_make_more_than_certainty():
+    found = decode_chosen(
+        np.array([[0, 0, 9, 9]], np.float16),
+        np.array([0.5], np.float16),
+        np.array([[0.4998, 0, 0]], np.float16),
+        SAME_SIZE,
+        score_threshold=0.25,
+    )
+
+    assert found.objectness.tolist() == [1]

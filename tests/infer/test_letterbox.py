@@ -73,6 +73,28 @@ def test_an_image_leaves_no_trace_in_the_next_ones_input():
     np.testing.assert_array_equal(out, letterboxed(upright, (96, 64)))
 
 
+def test_half_input():
+    image, out = noise(90, 30), np.full((3, 64, 96), np.nan, dtype=np.float16)
+
+    InputBuffer((8, 8)).fill(image, out)
+
+    np.testing.assert_array_equal(out, letterboxed(image, (96, 64)).astype(np.float16))
+
+
+def test_part_of_an_image():
+    image = noise(300, 200)
+    letterbox = Letterbox((90, 20), (96, 64), origin_xy=(150, 40), enlarge=False)
+    out = np.full((3, 64, 96), np.nan, dtype=np.float32)
+
+    InputBuffer((96, 64)).fill(image, out, letterbox)
+
+    # 3 grey columns at both sides, 22 rows above and below; nothing is scaled
+    np.testing.assert_array_equal(out[:, 22:42, 3:93], image[40:60, 150:240, ::-1].transpose(2, 0, 1) / np.float32(255))
+    assert (out[:, :22] == np.float32(GREY) / 255).all()
+    back = letterbox.boxes_to_image(np.array([[3.0, 22, 93, 42], [0, 0, 13, 27]]))
+    assert back.tolist() == [[150, 40, 240, 60], [150, 40, 160, 45]]
+
+
 sides = st.integers(8, 3000)
 fractions = st.floats(0, 1)
 

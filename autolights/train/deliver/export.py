@@ -209,7 +209,7 @@ def _compare(model: YoloV5, session: OnnxSession, info: ModelInfo, images: Seque
         letterbox = buffer.fill(image, blob[0])
         with torch.inference_mode():
             wanted = cast(Tensor, model(torch.from_numpy(blob).to(device)))[0].cpu().numpy()
-        got = session.run(blob)[0]
+        got = session.run(blob)[0][0]
         difference = np.abs(got - wanted)
         ours = decode(wanted, letterbox, score_threshold=info.score_threshold)
         theirs = decode(got, letterbox, score_threshold=info.score_threshold)

@@ -1,0 +1,57 @@
+"""How a model is run: by which library, on what, with how many threads."""
+
+import os
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from autolights.core import Config, ModelInfo
+from autolights.infer.session import OnnxSession, Session
+
+
+class Execution(Config):
+    """One way of running a model.
+
+    Attributes:
+        backend: ``onnxruntime``, or ``openvino`` where that package is installed.
+        providers: Of ONNX Runtime, in order of preference, by its own names; empty: the CPU.
+        threads: All that detection may use on the CPU; null leaves the choice to the backend.
+        streams: How many images of one `Detector.batch` are worked on at a time; they share the threads.
+        bfloat16: Let OpenVINO round to bfloat16 where the CPU is faster so; see `OpenVinoSession`.
+    """
+
+    backend: Literal["onnxruntime", "openvino"] = "onnxruntime"
+    providers: tuple[str, ...] = ()
+    threads: int | None = Field(default=None, ge=1)
+    streams: int = Field(default=1, ge=1)
+    bfloat16: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.backend != "onnxruntime" and self.providers:
+            raise ValueError(f"providers are of the backend 'onnxruntime', got {list(self.providers)}")
+        if self.backend != "openvino" and self.bfloat16:
+            raise ValueError("bfloat16 is a choice of the backend 'openvino'")
+        return self
+
+    @property
+    def threads_of_stream(self) -> int | None:
+        """Threads of each of the streams; None leaves the choice to the backend."""
+        if self.streams == 1:
+            return self.threads
+        return max((self.threads or usable_cpus()) // self.streams, 1)
+
+
+def usable_cpus() -> int:
+    """Logical CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def open_session(model_path: Path, info: ModelInfo, execution: Execution, *, threads: int | None) -> Session:
+    """Load a model; errors are those of the session's class."""
+    if execution.backend == "openvino":
+        from autolights.infer.openvino_session import OpenVinoSession
+
+        return OpenVinoSession(model_path, info, threads=threads, bfloat16=execution.bfloat16)
+    return OnnxSession(model_path, info, providers=execution.providers, threads=threads)
