@@ -129,15 +129,38 @@ def gather_outcomes(run_dir: Path, drive_dir: Path, signals: SignalSet) -> RunOu
             "know; was it run with another one?"
         )
     truth = {(frame.camera, frame.stamp_ns): frame for frame in load_truth(drive.truth_path)}
+    outcomes = hold_against_truth(drive, truth, sets, signals, info)
+    if not outcomes.variants:
+        raise DataError(f"{run_dir / ESTIMATES}: holds no estimates of {', '.join(VARIANTS)}")
+    return outcomes
+
+
+def hold_against_truth(
+    drive: Drive,
+    truth: dict[tuple[str, int], TruthFrame],
+    sets: Sequence[EstimateSet],
+    signals: SignalSet,
+    info: dict[str, Any],
+) -> RunOutcomes:
+    """Hold estimates against truth, wherever both come from.
+
+    Args:
+        drive: Cameras and poses decide what is in view.
+        truth: By (camera, stamp_ns).
+        sets: What was said.
+        signals: The signal description.
+        info: As in ``run.json``.
+
+    Raises:
+        DataError: If the truth names a camera or a class that is not known.
+    """
     scene = _Scene(drive, signals, truth)
     variants: dict[Variant, VariantOutcomes] = {}
     unanswered = 0
     for variant in VARIANTS:
         of_variant = [entry for entry in sets if entry.variant == variant]
         if of_variant:
-            variants[variant], unanswered = _hold_against_truth(scene, variant, of_variant)
-    if not variants:
-        raise DataError(f"{run_dir / ESTIMATES}: holds no estimates of {', '.join(VARIANTS)}")
+            variants[variant], unanswered = _variant_outcomes(scene, variant, of_variant)
     return RunOutcomes(
         drive=drive,
         truth=truth,
@@ -187,7 +210,7 @@ class _Scene:
         self.map_ids = frozenset(light.map_id for light in self.lights.values() if light.map_id is not None)
 
 
-def _hold_against_truth(scene: _Scene, variant: Variant, sets: Sequence[EstimateSet]) -> tuple[VariantOutcomes, int]:
+def _variant_outcomes(scene: _Scene, variant: Variant, sets: Sequence[EstimateSet]) -> tuple[VariantOutcomes, int]:
     """Rows of a variant, and the number of camera frames with labelled lights about which it says nothing."""
     rows = VariantOutcomes()
     answered: set[tuple[str, int]] = set()
