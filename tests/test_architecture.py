@@ -18,6 +18,7 @@ RUNTIME_MODULES = (
     "autolights.pipeline",
     "autolights.run_drive",
     "autolights.detect",
+    "autolights.tune",
     "autolights.cli",
 )
 

@@ -67,6 +67,7 @@ _VERBS: dict[str, Callable[..., None]] = {
     "bundle": delivery.bundle,
     "run": runtime.run,
     "detect": runtime.detect,
+    "tune": runtime.tune,
     "evaluate": proof.evaluate,
     "report": proof.report,
     "demo": proof.demo,

@@ -1,4 +1,4 @@
-"""The verbs of the runtime: run, detect. Nothing here needs the training stack."""
+"""The verbs of the runtime: run, detect, tune. Nothing here needs the training stack."""
 
 import json
 from pathlib import Path
@@ -92,3 +92,45 @@ def detect(
         typer.echo(json.dumps(summary.to_json()))
         return
     typer.echo(f"{out}: {summary.detections} lights in {summary.images} images, {summary.skipped} skipped")
+
+
+def tune(
+    bundle: Annotated[Path, typer.Argument(exists=True, help="Folder made by `bundle`.")],
+    images: Annotated[int, typer.Option(min=1, help="Cameras that expose together.")] = 2,
+    image_size: Annotated[str, typer.Option(help="Of the cameras, in pixels.")] = "1920x1200",
+    seconds: Annotated[float, typer.Option(min=0, help="About how long to measure.")] = 6.0,
+    bfloat16: Annotated[
+        bool, typer.Option("--bfloat16", help="Let OpenVINO round to bfloat16; class probabilities move a little.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Measure how a bundle's detector runs fastest on this machine.
+
+    Tries the numbers of threads, cameras side by side, OpenVINO and GPU providers where they are installed. From then
+    on `run`, `detect` and Detector.from_bundle use the best for this bundle's model on this machine, unless told
+    otherwise. The result is kept in your cache folder; the bundle is not changed.
+
+    \b
+    Example: autolights tune bundle --images 2 --image-size 1280x800
+    """
+    from autolights.core import Bundle
+    from autolights.core.errors import UsageError
+    from autolights.tune import tune_bundle
+
+    width, _, height = image_size.partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+        raise UsageError(f"--image-size must be like 1920x1200, got '{image_size}'")
+    result = tune_bundle(
+        Bundle.load(bundle), images=images, image_wh=(int(width), int(height)), seconds=seconds, bfloat16=bfloat16
+    )
+    if as_json:
+        typer.echo(json.dumps({"path": str(result.path), **result.tuning.model_dump(mode="json")}))
+        return
+    fastest_ms = result.tuning.measurements[0].set_ms
+    typer.echo(f"{'execution':40} {'ms per set':>10} {'ratio':>6} {'difference':>11}")
+    for each in result.tuning.measurements:
+        name = f"{each.execution}{'  <- best' if each.execution == result.tuning.best else ''}"
+        typer.echo(f"{name:40} {each.set_ms:10.1f} {each.set_ms / fastest_ms:6.2f} {each.prob_difference:11.1e}")
+    for execution, reason in result.refused.items():
+        typer.echo(f"{execution}: {reason}", err=True)
+    typer.echo(f"kept in {result.path}")

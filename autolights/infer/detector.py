@@ -15,6 +15,7 @@ from autolights.infer.execution import Execution, open_session
 from autolights.infer.letterbox import InputBuffer, Letterbox
 from autolights.infer.region import Region, view_of
 from autolights.infer.session import Session
+from autolights.infer.tuning import tuned_execution
 
 
 class Detector:
@@ -81,6 +82,8 @@ class Detector:
         """
         if execution is None and (providers is not None or threads is not None):
             execution = Execution(providers=tuple(providers or ()), threads=threads)
+        if execution is None:
+            execution = tuned_execution(bundle.model_path)
         return cls(bundle.model_path, bundle.model, execution, score_threshold=score_threshold)
 
     def __call__(self, image_bgr: ImageArray, region: Region | None = None) -> Detections:

@@ -1,6 +1,7 @@
 """How a model is run: by which library, on what, with how many threads."""
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, Self
 
@@ -42,10 +43,25 @@ class Execution(Config):
             return self.threads
         return max((self.threads or usable_cpus()) // self.streams, 1)
 
+    def __str__(self) -> str:
+        """For tables: backend or provider, threads, streams."""
+        where = self.providers[0].removesuffix("ExecutionProvider") if self.providers else self.backend
+        words = [where + (" bfloat16" if self.bfloat16 else "")]
+        if self.threads is not None:
+            words.append(f"{self.threads} thread{'s' * (self.threads > 1)}")
+        if self.streams > 1:
+            words.append(f"{self.streams} streams")
+        return ", ".join(words)
+
 
 def usable_cpus() -> int:
     """Logical CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def openvino_is_installed() -> bool:
+    """Whether the backend ``openvino`` can be chosen."""
+    return find_spec("openvino") is not None
 
 
 def open_session(model_path: Path, info: ModelInfo, execution: Execution, *, threads: int | None) -> Session:

@@ -1,6 +1,5 @@
 """A model run by OpenVINO, often the fastest on Intel's CPUs; an optional package (``autolights[openvino]``)."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +32,10 @@ class OpenVinoSession:
     ) -> None:
         if not model_path.is_file():
             raise UsageError(f"{model_path}: no such model; make one with `autolights export`")
-        if find_spec("openvino") is None:
-            raise UsageError("the backend 'openvino' needs a package: pip install 'autolights[openvino]'")
-        import openvino
+        try:
+            import openvino
+        except ImportError as error:
+            raise UsageError("the backend 'openvino' needs a package: pip install 'autolights[openvino]'") from error
 
         settings: dict[str, Any] = {
             "PERFORMANCE_HINT": "LATENCY",

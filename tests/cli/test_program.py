@@ -11,7 +11,7 @@ import pytest
 Program = Callable[..., subprocess.CompletedProcess[str]]
 VERBS = (
     *("simulate", "train", "val", "info", "export", "fit-hmm"),
-    *("bundle", "run", "detect", "evaluate", "report", "demo"),
+    *("bundle", "run", "detect", "tune", "evaluate", "report", "demo"),
 )
 
 

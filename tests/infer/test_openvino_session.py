@@ -92,7 +92,6 @@ def test_bad_models(constant_model, tmp_path):
 
 def test_without_the_package(constant_model, monkeypatch):
     monkeypatch.setitem(sys.modules, "openvino", None)
-    monkeypatch.setattr("autolights.infer.openvino_session.find_spec", lambda name: None)
 
     with pytest.raises(UsageError, match=r"pip install 'autolights\[openvino\]'"):
         OpenVinoSession(*constant_model([[32, 16, 10, 20, 0.9, 0.8, 0.1]]))
