@@ -23,7 +23,7 @@ The way through, each step a verb:
   fit-hmm           confusion matrix → hmm.json          bundle            ONNX + HMMs → one verified folder
   run               bundle + drive → estimates.jsonl     detect            bundle + images or video → boxes
   evaluate          estimates + truth → tables           report            everything → one HTML page
-  demo              all of it, in order
+  tune              bundle → its fastest way here          demo              all of it, in order
 
 Results go to stdout (--json for machines), progress and messages to stderr.
 Exit code 0: done; 1: failed; 2: misused.
