@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 import scipy.linalg
+from hypothesis import settings
 
 from autolights.core import (
     CameraModel,
@@ -23,6 +24,10 @@ from autolights.core import (
 from autolights.core.light_box import light_corners, project_corners
 from autolights.core.transforms import CAMERA_AXES_FROM_VEHICLE_AXES, invert_rigid, rigid
 from autolights.pipeline import LightPipeline, PipelineConfig
+
+# A busy machine makes any test slow now and then; that is no failure of the code.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
 
 ORIGIN = np.array([500_000.0, 4_800_000.0, 200.0])
 # What a light shows the detector at a time in seconds: a class, class probabilities, or None if nothing is seen.

@@ -1,6 +1,7 @@
 """The bundle: everything that travels from training to the car, in one verified folder."""
 
-import shutil
+import hashlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -12,10 +13,12 @@ from autolights.core.confusion import ConfusionMatrix
 from autolights.core.errors import AutolightsError, BundleError
 from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
 from autolights.core.json_files import read_json_object, validated, write_json
+from autolights.core.model_guard import MAX_MODEL_BYTES, inspect_model
 from autolights.core.model_info import FORMAT_VERSION, ModelInfo
 from autolights.core.signals import SignalSet, load_signals
 
 MODEL, SIGNALS, HMM, CONFUSION, MANIFEST = "model.onnx", "signals.yaml", "hmm.json", "confusion.json", "manifest.json"
+_HASHED = (MODEL, SIGNALS, HMM, CONFUSION)
 
 
 class Manifest(Config):
@@ -37,6 +40,7 @@ class Bundle:
         signals: The signal description.
         hmm: One model per type.
         confusion: The confusion matrix behind the HMMs.
+        model_sha256: Of ``model.onnx`` in a bundle that was loaded; empty in one that is being made.
     """
 
     model: ModelInfo
@@ -44,8 +48,14 @@ class Bundle:
     signals: SignalSet
     hmm: dict[str, HmmParameters]
     confusion: ConfusionMatrix
+    model_sha256: str = ""
 
     def __post_init__(self) -> None:
+        if self.model.head == "efficient-nms":
+            raise BundleError(
+                "the head efficient-nms yields no class vectors, and tracking needs them; "
+                "export with --head end2end or --head raw"
+            )
         for what, classes in (("model", self.model.classes), ("confusion matrix", self.confusion.classes)):
             if classes != self.signals.classes:
                 raise BundleError(
@@ -64,17 +74,24 @@ class Bundle:
             if name not in self.signals.types or parameters.states != self.signals.states_of(name):
                 raise BundleError(f"{HMM}: the states of type '{name}' are not those of the signal description")
 
+    def model_bytes(self) -> bytes:
+        """The model, read, checked and returned in one go: what was checked is what a runtime gets to see.
+
+        Raises:
+            BundleError: If the file is missing, altered since `load`, or holds what no export writes.
+        """
+        return _read_model(self.model_path, self.model_sha256)
+
     def save(self, directory: Path, *, force: bool = False) -> None:
         """Write the bundle; it appears whole or not at all.
 
         Raises:
             UsageError: If `directory` exists and `force` is not set.
-            BundleError: If there is no model file.
+            BundleError: If there is no model file, or it holds what no export writes.
         """
-        if not self.model_path.is_file():
-            raise BundleError(f"{self.model_path}: no such model; make one with `autolights export`")
+        model = _read_model(self.model_path)
         with new_folder(directory, force=force) as folder:
-            shutil.copyfile(self.model_path, folder / MODEL)
+            (folder / MODEL).write_bytes(model)
             save_config(self.signals, folder / SIGNALS)
             save_hmm(folder / HMM, self.hmm)
             self.confusion.save(folder / CONFUSION)
@@ -82,36 +99,79 @@ class Bundle:
                 format_version=FORMAT_VERSION,
                 program_version=autolights.__version__,
                 model=self.model,
-                sha256={name: sha256(folder / name) for name in (MODEL, SIGNALS, HMM, CONFUSION)},
+                sha256={name: sha256(folder / name) for name in _HASHED},
             )
             write_json(folder / MANIFEST, manifest.model_dump(mode="json"))
 
     @classmethod
     def load(cls, directory: Path) -> Self:
-        """Read and verify a bundle: every hash is checked before anything is used.
+        """Read and verify a bundle: nothing is used before its hash is checked.
+
+        A bundle consists of the five files in this folder and nothing else: the manifest cannot name others, and links
+        out of the folder are refused.
 
         Raises:
-            BundleError: If a file is missing or altered, the format is newer, or the parts do not fit each other.
+            BundleError: If a file is missing or altered, the format is another one, the parts do not fit each other, or
+                the model holds what no export writes (see `core.model_guard`).
         """
-        manifest = _read_manifest(directory / MANIFEST)
-        for name in (MODEL, SIGNALS, HMM, CONFUSION):
-            path = directory / name
-            if not path.is_file():
-                raise BundleError(f"{path}: missing; copy the whole bundle or make it again with `autolights bundle`")
-            if sha256(path) != manifest.sha256.get(name):
-                raise BundleError(f"{path}: its SHA-256 differs from the manifest's: altered or damaged since bundling")
+        manifest = _read_manifest(_inside(directory, MANIFEST))
+        if set(manifest.sha256) != set(_HASHED):
+            raise BundleError(
+                f"{directory / MANIFEST}: sha256 must name {', '.join(_HASHED)}, got {', '.join(manifest.sha256)}"
+            )
+        paths = {name: _inside(directory, name) for name in _HASHED}
+        _read_model(paths[MODEL], manifest.sha256[MODEL])
+        for name in (SIGNALS, HMM, CONFUSION):
+            if sha256(paths[name]) != manifest.sha256[name]:
+                raise BundleError(_altered(paths[name]))
         try:
             return cls(
                 model=manifest.model,
-                model_path=directory / MODEL,
-                signals=load_signals(directory / SIGNALS),
-                hmm=load_hmm(directory / HMM),
-                confusion=ConfusionMatrix.load(directory / CONFUSION),
+                model_path=paths[MODEL],
+                signals=load_signals(paths[SIGNALS]),
+                hmm=load_hmm(paths[HMM]),
+                confusion=ConfusionMatrix.load(paths[CONFUSION]),
+                model_sha256=manifest.sha256[MODEL],
             )
         except BundleError as error:
             raise BundleError(f"{directory}: {error}") from error
         except AutolightsError as error:
             raise BundleError(str(error)) from error
+
+
+def _inside(directory: Path, name: str) -> Path:
+    """The file of that name in the folder itself, not behind a link that leaves it."""
+    path = directory / name
+    if not path.is_file():
+        raise BundleError(f"{path}: missing; copy the whole bundle or make it again with `autolights bundle`")
+    if path.resolve().parent != directory.resolve():
+        raise BundleError(f"{path}: a link out of the bundle; copy the file itself into the folder")
+    return path
+
+
+def _read_model(path: Path, wanted_sha256: str = "") -> bytes:
+    """The bytes of a model, hashed if the hash is known, and looked through."""
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            data = file.read() if size <= MAX_MODEL_BYTES else b""
+    except OSError as error:
+        raise BundleError(f"{path}: no such model; make one with `autolights export` ({error.strerror})") from error
+    if size > MAX_MODEL_BYTES:
+        raise BundleError(
+            f"{path}: the model has {size:,} bytes, more than the {MAX_MODEL_BYTES:,} that any size needs"
+        )
+    if wanted_sha256 and hashlib.sha256(data).hexdigest() != wanted_sha256:
+        raise BundleError(_altered(path))
+    try:
+        inspect_model(data)
+    except BundleError as error:
+        raise BundleError(f"{path}: {error}") from error
+    return data
+
+
+def _altered(path: Path) -> str:
+    return f"{path}: its SHA-256 differs from the manifest's: altered or damaged since bundling"
 
 
 def _read_manifest(path: Path) -> Manifest:

@@ -22,6 +22,8 @@ class Config(BaseModel):
 
 ConfigT = TypeVar("ConfigT", bound=BaseModel)
 
+_MAX_YAML_BYTES = 4 * 2**20
+
 
 def load_config(path: Path | str, model: type[ConfigT], overrides: Sequence[str] = ()) -> ConfigT:
     """Read a YAML file into a model.
@@ -55,6 +57,7 @@ def parse_config(
 
 def save_config(config: BaseModel, path: Path, *, comment: str = "") -> None:
     """Write a resolved configuration as YAML that `load_config` reads back, under a one-line comment if given."""
+    # Going through JSON, no two parts are the same object, for which YAML would write an alias.
     text = yaml.safe_dump(config.model_dump(mode="json", exclude_none=False), sort_keys=False)
     write_text(path, f"# {comment}\n{text}" if comment else text)
 
@@ -77,21 +80,32 @@ def find_config(path: Path | str) -> Path:
 
 
 def read_yaml(path: Path) -> Any:
-    """Read one YAML document safely: ``8e-3`` is a number, ``off`` a word, a repeated key an error.
+    """Read one YAML document safely: ``8e-3`` is a number, ``off`` a word; a repeated key and an alias are errors.
 
     Raises:
-        ConfigError: If the file cannot be read or is no YAML.
+        ConfigError: If the file cannot be read, is absurdly large, or is no YAML.
     """
     try:
+        size = path.stat().st_size
+        if size > _MAX_YAML_BYTES:
+            raise ConfigError(f"{path}: has {size:,} bytes, more than the {_MAX_YAML_BYTES:,} that are read")
         return yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506  (a SafeLoader)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: nested too deeply") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
 
 
 class _Loader(yaml.SafeLoader):
     """YAML 1.2's idea of booleans and floats, which is what people mean."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        # A handful of aliases of aliases is a document of billions of values.
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "an alias (*name) is not read; repeat the value itself")
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()

@@ -2,7 +2,9 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import onnx
 import pytest
+from onnx import TensorProto, helper
 
 from autolights.core import Bundle, ConfusionMatrix, InitialWeights, ModelInfo, load_signals
 from autolights.core.errors import BundleError, UsageError
@@ -13,10 +15,19 @@ SIGNALS = load_signals()
 FILES = ["confusion.json", "hmm.json", "manifest.json", "model.onnx", "signals.yaml"]
 
 
+def passing_through() -> onnx.ModelProto:
+    port = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 416, 640])
+    node = helper.make_node("Identity", ["images"], ["output"])
+    return helper.make_model(helper.make_graph([node], "through", [port], [port]))
+
+
+WEIGHTS = passing_through().SerializeToString()
+
+
 @pytest.fixture
 def bundle(tmp_path):
     model = tmp_path / "exported.onnx"
-    model.write_bytes(b"weights")
+    model.write_bytes(WEIGHTS)
     confusion = ConfusionMatrix(SIGNALS.classes, np.eye(14, dtype=np.int64), 0.25, 0.5)
     weights = InitialWeights(name="yolov5n.pt", sha256="0" * 64, licence="AGPL-3.0")
     info = ModelInfo(classes=SIGNALS.classes, size_wh=(640, 416), opset=17, initial_weights=weights)
@@ -34,7 +45,7 @@ def test_reads_back(bundle, folder):
 
     assert sorted(path.name for path in folder.iterdir()) == FILES
     assert (read.model, read.signals) == (bundle.model, bundle.signals)
-    assert read.model_path.read_bytes() == b"weights"
+    assert read.model_path.read_bytes() == WEIGHTS == read.model_bytes()
     assert read.confusion.to_json() == bundle.confusion.to_json()
     assert {name: hmm.to_json() for name, hmm in read.hmm.items()} == {
         name: hmm.to_json() for name, hmm in bundle.hmm.items()
@@ -118,3 +129,61 @@ def test_description_beside_a_model(bundle, tmp_path):
         load_model_info(tmp_path / "model.onnx")
     with pytest.raises(BundleError, match=r"gone\.json: cannot be read .*; `autolights export` writes it"):
         load_model_info(tmp_path / "gone.onnx")
+
+
+def test_model_altered_after_loading_is_refused(folder):
+    read = Bundle.load(folder)
+    (folder / "model.onnx").write_bytes(WEIGHTS + b" ")
+
+    with pytest.raises(BundleError, match=r"model\.onnx: its SHA-256 differs"):
+        read.model_bytes()
+
+
+def test_model_that_reaches_out_is_not_saved(bundle, tmp_path):
+    model = passing_through()
+    model.graph.node[0].domain = "evil"
+    bundle.model_path.write_bytes(model.SerializeToString())
+
+    with pytest.raises(BundleError, match=r"exported\.onnx: node '' \(Identity\) uses operators of the domain 'evil'"):
+        bundle.save(tmp_path / "bundle")
+    assert not (tmp_path / "bundle").exists()
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_links_out_of_the_folder_are_refused(folder, tmp_path, name):
+    (folder / name).rename(tmp_path / "elsewhere")
+    (folder / name).symlink_to(tmp_path / "elsewhere")
+
+    with pytest.raises(BundleError, match=rf"{name}: a link out of the bundle"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize("names", [["model.onnx"], [*FILES[:4], "../secret"], ["/etc/passwd"]])
+def test_manifest_that_names_other_files_is_refused(folder, names):
+    path = folder / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "sha256": dict.fromkeys(names, "0" * 64)}))
+
+    with pytest.raises(BundleError, match=r"sha256 must name model\.onnx, signals\.yaml, .*, got"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        pytest.param("[" * 100_000, "nested too deeply", id="deep"),
+        pytest.param('{"a": 1, "a": 2}', "key 'a' is repeated", id="twice"),
+        pytest.param('{"format_version": ' + "9" * 5000 + "}", "not JSON", id="endless-number"),
+        pytest.param('{"a": "' + "x" * 33 * 2**20 + '"}', "more than the 33,554,432", id="large"),
+        pytest.param("\xff", "not JSON", id="no-text"),
+    ],
+)
+def test_hostile_manifests_are_refused_in_words(folder, text, message):
+    (folder / "manifest.json").write_text(text, encoding="latin-1")
+
+    with pytest.raises(BundleError, match=rf"manifest\.json: .*{message}"):
+        Bundle.load(folder)
+
+
+def test_head_without_class_vectors_is_refused(bundle):
+    with pytest.raises(BundleError, match="efficient-nms yields no class vectors"):
+        replace(bundle, model=bundle.model.model_copy(update={"head": "efficient-nms"}))

@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -128,3 +129,25 @@ def test_overrides_leave_the_given_values_alone():
     parse_config(values, Training, ["optimizer.rate=0.2"], source="test")
 
     assert values == {"optimizer": {"rate": 0.1}}
+
+
+def test_aliases_are_refused(tmp_path: Path) -> None:
+    laughs = "a: &a [x, x]\n" + "\n".join(f"{b}: &{b} [*{a}, *{a}]" for a, b in pairwise("abcdefghi"))
+    (tmp_path / "laughs.yaml").write_text(laughs)
+
+    with pytest.raises(ConfigError, match=r"laughs\.yaml: not YAML: an alias"):
+        read_yaml(tmp_path / "laughs.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        pytest.param("[" * 20_000, "nested too deeply", id="deep"),
+        pytest.param("x" * (4 * 2**20 + 1), "more than the 4,194,304", id="large"),
+    ],
+)
+def test_absurd_files_are_refused_in_words(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "absurd.yaml").write_text(text)
+
+    with pytest.raises(ConfigError, match=rf"absurd\.yaml: .*{message}"):
+        read_yaml(tmp_path / "absurd.yaml")
