@@ -172,7 +172,8 @@ def _equip(
     far, tall = junction.stop_line_m + 2.6, float(rng.uniform(5.4, 6.2))
     beams.append(_mast(far, _MAST_Y_M, tall + 0.5, steel))
     beams.append(_bar((far, _MAST_Y_M, tall + 0.1), (far, 1.2, tall + 0.25), (0.2, 0.1), steel))
-    for kind, y in zip(rng.permutation(list(signals.types))[:2], (2.2, 6.6), strict=True):
+    kinds = rng.permutation(list(signals.types))
+    for kind, y in zip((kinds[0], kinds[min(1, len(kinds) - 1)]), (2.2, 6.6), strict=True):
         add(str(kind), far + 0.28, y, tall, _AWAY, "oncoming")
 
 

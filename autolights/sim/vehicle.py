@@ -121,12 +121,12 @@ def measure_poses(
     moved += rng.normal(0, config.fast_position_m, (len(times), 3))
     turned = _wander(len(times), config.slow_rotation_deg, config, rng)
     turned += rng.normal(0, config.fast_rotation_deg, (len(times), 3))
-    poses = []
-    for time_s, shift, turn in zip(times, moved, turned, strict=True):
-        utm_from_ins = utm_from_town @ motion.town_from_ins(float(time_s))
-        rotation = Rotation.from_matrix(utm_from_ins[:3, :3]) * Rotation.from_rotvec(turn, degrees=True)
-        poses.append(Pose(start_ns + round(time_s * 1e9), utm_from_ins[:3, 3] + shift, rotation.as_quat()))
-    return poses
+    utm_from_ins = np.array([utm_from_town @ motion.town_from_ins(float(time_s)) for time_s in times])
+    rotations = Rotation.from_matrix(utm_from_ins[:, :3, :3]) * Rotation.from_rotvec(turned, degrees=True)
+    return [
+        Pose(start_ns + round(time_s * 1e9), position, quaternion)
+        for time_s, position, quaternion in zip(times, utm_from_ins[:, :3, 3] + moved, rotations.as_quat(), strict=True)
+    ]
 
 
 def _wander(count: int, sigma: float, config: PoseConfig, rng: np.random.Generator) -> FloatArray:

@@ -2,15 +2,20 @@
 
 from autolights.suite.config import ScenarioConfig, SuiteConfig
 from autolights.suite.figures import Figures
-from autolights.suite.result import SuiteResult, default_pipelines, run_suite
-from autolights.suite.tables import markdown
+from autolights.suite.recorded import RecordedDrive, record
+from autolights.suite.result import SuiteResult, default_pipelines, run_recorded, run_suite
+from autolights.suite.tables import comparison, markdown
 
 __all__ = [
     "Figures",
+    "RecordedDrive",
     "ScenarioConfig",
     "SuiteConfig",
     "SuiteResult",
+    "comparison",
     "default_pipelines",
     "markdown",
+    "record",
+    "run_recorded",
     "run_suite",
 ]

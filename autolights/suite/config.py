@@ -7,6 +7,7 @@ from pydantic import Field
 from autolights.core.config import Config
 from autolights.sim.config import NARROW, WIDE, CameraConfig, PoseConfig
 from autolights.sim.detector_model import DetectorModelConfig
+from autolights.sim.script import START_M
 
 Range = tuple[float, float]
 
@@ -41,10 +42,14 @@ class ScenarioConfig(Config):
         junctions: How many the road has; the drive may end before the last.
         layouts: Types over our lanes, from left to right; drawn for each junction.
         row_spacing_m: If set, the lights over our lanes hang so far apart.
-        programme: ``ordinary``; ``flashing_red``: red balls flash in the crossing phase; ``steady``: nothing flashes.
+        rows: How many rows of lights over our lanes hang above each other.
+        junction_spacing_m: If set, all junctions are so far apart and have the same layout.
+        start_m: Where the drive starts; the first stop line is at 0.
+        programme: ``ordinary``; ``flashing_red``: red balls flash in the crossing phase; ``steady``: nothing flashes,
+            left turns are protected instead.
         signals: Signal description.
         frame_rate_hz: Sets of frames per second.
-        cruise_mps: Speed on the open road; 0 stands before the first junction.
+        cruise_mps: Speed on the open road; 0 stands still.
         occlusions_per_minute: Of each junction: a lorry's edge sweeps over its lights, hides them and frees them.
         occlusion_s: How long each light stays hidden, edge to edge.
         mounting_error_deg: Each camera is turned by this, about a vertical or (every third drive) a lateral axis, and
@@ -58,7 +63,8 @@ class ScenarioConfig(Config):
         map_errors: Of the map.
         poses: Of the localisation.
         detector: Settings of the detector model that differ.
-        pipelines: Labels of the only pipelines that run here; none means all.
+        ablation: Whether detections alone, fusion alone and the paper's rules run here too.
+        recordable: Whether recorded drives can have it: of them only mounting, poses and arrival are disturbed.
         counts_for_accuracy: Whether the scenario is part of the suite's class accuracy (10 frames a second and more).
     """
 
@@ -70,6 +76,9 @@ class ScenarioConfig(Config):
     row_spacing_m: float | None = Field(default=None, gt=0)
     programme: Literal["ordinary", "steady", "flashing_red"] = "ordinary"
     signals: str = "signals/autolights_13"
+    rows: int = Field(default=1, ge=1, le=4)
+    junction_spacing_m: float | None = Field(default=None, ge=22)
+    start_m: float = START_M
     frame_rate_hz: float = Field(default=10.0, gt=0, le=60)
     cruise_mps: float = Field(default=9.0, ge=0)
     occlusions_per_minute: float = Field(default=3.0, ge=0)
@@ -84,7 +93,8 @@ class ScenarioConfig(Config):
     map_errors: MapErrors = MapErrors()
     poses: PoseConfig = PoseConfig(rate_hz=50, slow_position_m=0.03, slow_rotation_deg=0.04)
     detector: dict[str, float] = Field(default_factory=dict)
-    pipelines: tuple[str, ...] = ()
+    ablation: bool = True
+    recordable: bool = False
     counts_for_accuracy: bool = True
 
 

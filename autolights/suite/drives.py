@@ -1,22 +1,23 @@
 """A scenario's drive: the truth, what the detector model says, and what a runtime is given, with all its errors."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autolights.core import CameraModel, Detections, FloatArray, Pose, SignalSet, TrafficLightMap, load_signals
+from autolights.core import CameraModel, Detections, FloatArray, Pose, SignalSet, load_signals
 from autolights.core.errors import UsageError
-from autolights.core.transforms import rigid, transform_points
+from autolights.core.transforms import transform_points
 from autolights.data import Drive, FrameRecord, TruthFrame, TruthLight
 from autolights.sim.detector_model import DetectorModel, LightViews, confusion_rates, perturb_errors
-from autolights.sim.heads import SignalHead
-from autolights.sim.rig import build_cameras, rotation_from_angles
+from autolights.sim.rig import build_cameras
 from autolights.sim.survey import heading_deg
 from autolights.sim.vehicle import measure_poses
-from autolights.suite.config import MapErrors, ScenarioConfig, SuiteConfig
+from autolights.suite.arrival import arrival, in_time
+from autolights.suite.config import ScenarioConfig, SuiteConfig
+from autolights.suite.disturb import shift_poses, turn_cameras, wrong_map
 from autolights.suite.scene import Scene, build_scene, facing, image_boxes
 
 _START_NS = 1_790_000_000_000_000_000
@@ -74,9 +75,9 @@ def build_drive(suite: SuiteConfig, name: str, index: int) -> SuiteDrive:
     rng = {stream: np.random.default_rng([*seed, stream]) for stream in range(7)}
     scene = build_scene(scenario, signals, rng[_SCENE])
     cameras = build_cameras(suite.cameras)
-    lights, map_ids = _survey(scene, scenario.map_errors, rng[_MAP])
+    lights, map_ids = wrong_map(scene, scenario.map_errors, rng[_MAP])
     model = _detector_model(suite, scenario, signals, len(scene.heads) + len(scene.lookalikes), (*seed, _DETECTOR))
-    sets = _plan_sets(suite, scenario, rng[_FRAMES])
+    sets = arrival(_exposed(suite, scenario, rng[_FRAMES]), scenario, [camera.name for camera in cameras], rng[_FRAMES])
 
     truth: dict[tuple[str, int], TruthFrame] = {}
     detections: dict[tuple[str, int], Detections] = {}
@@ -95,20 +96,25 @@ def build_drive(suite: SuiteConfig, name: str, index: int) -> SuiteDrive:
             )
         for frame, lights_there in zip(frames, _truth_lights(scene, camera, times_s, views, map_ids), strict=True):
             truth[camera.name, frame.stamp_ns] = TruthFrame(frame.stamp_ns, camera.name, lights_there)
+        utm_from_ins = scene.utm_from_town @ poses
+        quaternions = Rotation.from_matrix(utm_from_ins[:, :3, :3]).as_quat()
         true_poses += [
-            _pose(frame.stamp_ns, scene.utm_from_town @ pose) for frame, pose in zip(frames, poses, strict=True)
+            Pose(frame.stamp_ns, position, quaternion)
+            for frame, position, quaternion in zip(frames, utm_from_ins[:, :3, 3], quaternions, strict=True)
         ]
 
-    in_time = _in_time(sets)
+    asked = in_time(sets)
     measured = measure_poses(scene.motion, scene.utm_from_town, _START_NS, scenario.poses, rng[_POSES])
+    lateral = index % _EVERY_THIRD == _EVERY_THIRD - 1
+    believed = turn_cameras(cameras, scenario.mounting_error_deg, rng[_MOUNTING], lateral=lateral)
     drive = Drive(
         folder=Path(),
         name=f"{name}-{index + 1}",
         utm_zone=17,
         hemisphere="north",
         height_datum="ellipsoid",
-        cameras={c.name: c for c in _turn(cameras, scenario.mounting_error_deg, index, rng[_MOUNTING])},
-        poses=tuple(_shift(measured, scenario.pose_error_m, rng[_POSES])),
+        cameras={camera.name: camera for camera in believed},
+        poses=tuple(shift_poses(measured, scenario.pose_error_m, rng[_POSES])),
         lights=lights,
         frames=tuple(frame for frames in sets for frame in frames),
     )
@@ -121,7 +127,7 @@ def build_drive(suite: SuiteConfig, name: str, index: int) -> SuiteDrive:
         signals=signals,
         drive=drive,
         true_drive=true_drive,
-        truth={key: frame for key, frame in truth.items() if key in in_time},
+        truth={key: frame for key, frame in truth.items() if key in asked},
         sets=sets,
         detections=detections,
         sources=sources,
@@ -129,11 +135,20 @@ def build_drive(suite: SuiteConfig, name: str, index: int) -> SuiteDrive:
     )
 
 
+def known_rates(suite: SuiteConfig, signals: SignalSet) -> FloatArray:
+    """(C, C) confusion on the validation set, of the classes that a signal description knows."""
+    table = {
+        truth: {seen: rate for seen, rate in errors.items() if seen in signals.class_ids}
+        for truth, errors in suite.confusion.items()
+        if truth in signals.class_ids
+    }
+    return confusion_rates(table, signals)
+
+
 def road_rates(suite: SuiteConfig, signals: SignalSet) -> FloatArray:
     """(C, C) confusion of the detector on the road: that of the validation set, each error a little different."""
-    known = {truth: errors for truth, errors in suite.confusion.items() if truth in signals.class_ids}
     rng = np.random.default_rng([suite.seed, _CONFUSION])
-    return perturb_errors(confusion_rates(known, signals), suite.confusion_spread, rng)
+    return perturb_errors(known_rates(suite, signals), suite.confusion_spread, rng)
 
 
 def _detector_model(
@@ -202,97 +217,14 @@ def _truth_lights(
         )
 
 
-def _plan_sets(
-    suite: SuiteConfig, scenario: ScenarioConfig, rng: np.random.Generator
-) -> tuple[tuple[FrameRecord, ...], ...]:
-    """Frames in the order of their arrival: dropped ones are gone, late ones come alone behind a later set."""
-    sets: list[list[FrameRecord]] = []
-    late: list[tuple[int, FrameRecord]] = []
-    count = round(scenario.duration_s * scenario.frame_rate_hz)
-    for number in range(count):
+def _exposed(suite: SuiteConfig, scenario: ScenarioConfig, rng: np.random.Generator) -> list[list[FrameRecord]]:
+    """Sets of frames with each image's own stamp."""
+    sets = []
+    for number in range(round(scenario.duration_s * scenario.frame_rate_hz)):
         frames = []
-        for i, camera in enumerate(suite.cameras):
+        for camera in suite.cameras:
             delay_s = (camera.stamp_offset_ms + float(rng.normal(0, suite.stamp_jitter_ms))) / 1e3
-            draw, late_draw = rng.random(2)
             stamp_ns = _START_NS + round((number / scenario.frame_rate_hz + delay_s) * 1e9)
-            frame = FrameRecord(stamp_ns, camera.name, Path())
-            if draw < scenario.dropped_share or (camera.name == scenario.dead_camera and number >= count / 2):
-                continue
-            if i > 0 and late_draw < scenario.late_share:
-                late.append((number + scenario.late_sets, frame))
-            else:
-                frames.append(frame)
-        if frames:
-            sets.append(frames)
-        sets += [[frame] for due, frame in late if due == number]
-    return tuple(tuple(frames) for frames in sets)
-
-
-def _in_time(sets: Sequence[Sequence[FrameRecord]]) -> set[tuple[str, int]]:
-    """Frames of sets that are not older than one before: nobody asks about the past."""
-    newest_ns = 0
-    keys: set[tuple[str, int]] = set()
-    for frames in sets:
-        set_ns = max(frame.stamp_ns for frame in frames)
-        if set_ns >= newest_ns:
-            keys |= {(frame.camera, frame.stamp_ns) for frame in frames}
-            newest_ns = set_ns
-    return keys
-
-
-def _survey(scene: Scene, errors: MapErrors, rng: np.random.Generator) -> tuple[TrafficLightMap, dict[str, str | None]]:
-    """The map that the runtime gets, and the map's name of each light by its id."""
-    heads = list(scene.heads)
-    missing = rng.random(len(heads)) < errors.missing_share
-    names: dict[str, str | None] = {
-        head.id: None if gone else f"tl-{number:03d}"
-        for number, (head, gone) in enumerate(zip(heads, missing, strict=True), start=1)
-    }
-    moved = rng.random(len(heads)) < errors.moved_share
-    sides = rng.choice([-1.0, 1.0], len(heads))
-    positions = np.array([head.position for head in heads])
-    positions[:, 1] += np.where(moved, sides * errors.moved_m, 0.0)
-    extra: list[SignalHead] = []
-    for junction in scene.town.junctions:
-        ours = [head for head in heads if head.intersection == junction.name and head.group == "ours"]
-        for number in range(errors.extra_per_junction):
-            like = ours[int(rng.integers(len(ours)))]
-            place = like.position + np.array([0.0, float(rng.choice([-1, 1])) * rng.uniform(1.2, 2.5), 0.0])
-            extra.append(replace(like, id=f"{junction.name}-gone-{number + 1}", position=place))
-    kept = [i for i, head in enumerate(heads) if names[head.id] is not None]
-    listed = [*(heads[i] for i in kept), *extra]
-    town_positions = np.concatenate([positions[kept], np.array([head.position for head in extra]).reshape(-1, 3)])
-    utm = transform_points(scene.utm_from_town, town_positions)
-    headings = np.array([heading_deg(head, scene.utm_from_town) for head in listed])
-    lights = TrafficLightMap(
-        ids=(*(str(names[heads[i].id]) for i in kept), *(f"gone-{k + 1:03d}" for k in range(len(extra)))),
-        types=tuple(head.type for head in listed),
-        positions=utm + rng.normal(0, errors.noise_m, utm.shape),
-        headings_deg=(headings + rng.normal(0, errors.heading_noise_deg, len(listed))) % 360,
-        sizes_m=np.array([head.size_m for head in listed]),
-        intersections=tuple(head.intersection for head in listed),
-        groups=tuple(head.group for head in listed),
-    )
-    return lights, names
-
-
-def _turn(
-    cameras: Sequence[CameraModel], error_deg: float, index: int, rng: np.random.Generator
-) -> Iterator[CameraModel]:
-    """The calibration that a runtime believes in: each camera turned about a vertical or a lateral axis."""
-    for camera in cameras:
-        angle_deg = error_deg * float(rng.choice([-1, 1]))
-        upright = index % _EVERY_THIRD == _EVERY_THIRD - 1
-        turn = rotation_from_angles(0 if upright else angle_deg, angle_deg if upright else 0, 0)
-        yield replace(camera, cam_from_ins=camera.cam_from_ins @ rigid(turn, np.zeros(3))) if error_deg else camera
-
-
-def _shift(poses: Sequence[Pose], error_m: float, rng: np.random.Generator) -> Iterator[Pose]:
-    angle = rng.uniform(0, 2 * np.pi)
-    error = error_m * np.array([np.cos(angle), np.sin(angle), 0.0])
-    for pose in poses:
-        yield Pose(pose.stamp_ns, pose.position + error, pose.quaternion_xyzw)
-
-
-def _pose(stamp_ns: int, utm_from_ins: FloatArray) -> Pose:
-    return Pose(stamp_ns, utm_from_ins[:3, 3], Rotation.from_matrix(utm_from_ins[:3, :3]).as_quat())
+            frames.append(FrameRecord(stamp_ns, camera.name, Path()))
+        sets.append(frames)
+    return sets

@@ -1,11 +1,11 @@
-"""The suite run whole: every drive of every scenario through every pipeline, counted, and held against the targets."""
+"""The suite run whole: every drive of every scenario through every pipeline, held against the targets."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import autolights
-from autolights.core import Config, load_signals
+from autolights.core import Config, HmmParameters, load_signals
 from autolights.core.errors import UsageError
 from autolights.core.json_files import read_json_object, validated, write_json
 from autolights.core.progress import track
@@ -15,8 +15,11 @@ from autolights.suite.config import SuiteConfig
 from autolights.suite.drives import build_drive
 from autolights.suite.figures import Figures, figures
 from autolights.suite.measures import Tally, tally
+from autolights.suite.recorded import RecordedDrive, disturb
 from autolights.suite.run import run_pipelines, suite_hmm
 from autolights.suite.targets import Verdict, judge
+
+_ABLATION = ("od", "fusion", "paper")  # rungs below the pipeline that is judged, and the paper beside it
 
 
 class SuiteResult(Config):
@@ -30,6 +33,7 @@ class SuiteResult(Config):
         accuracy_scenarios: Those in `whole` as far as class accuracy goes.
         whole: Pipeline → figures over `accuracy_scenarios`.
         everything: Pipeline → figures over all scenarios.
+        accuracy_of_drives: Pipeline → class accuracy on each drive in `whole`, percent, the same order for all.
         verdicts: The targets, for the pipeline that is judged.
     """
 
@@ -40,6 +44,7 @@ class SuiteResult(Config):
     accuracy_scenarios: tuple[str, ...]
     whole: dict[str, Figures]
     everything: dict[str, Figures]
+    accuracy_of_drives: dict[str, tuple[float, ...]]
     verdicts: tuple[Verdict, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -78,36 +83,54 @@ def run_suite(
         workers: Processes; the figures do not depend on it, the times do.
 
     Raises:
-        UsageError: If a scenario or `judged` is unknown.
+        UsageError: If a scenario, a class or `judged` is unknown.
     """
-    names = list(scenarios) or list(suite.scenarios)
-    for name in names:
-        if name not in suite.scenarios:
-            raise UsageError(f"the suite has no scenario '{name}'; it has {', '.join(suite.scenarios)}")
-    if judged not in pipelines:
-        raise UsageError(f"no pipeline '{judged}' to be judged; there are {', '.join(pipelines)}")
+    names = _chosen(suite, scenarios)
+    _check_confusion(suite)
     tasks = [(suite, dict(pipelines), name, index) for name in names for index in range(suite.scenarios[name].drives)]
-    counts = {name: {label: Tally() for label in pipelines} for name in names}
     done = in_order(_run_drive, tasks, workers=workers)
-    for (_, _, name, _), of_drive in zip(
-        tasks, track(done, description="suite", total=len(tasks), unit="drives"), strict=True
-    ):
-        for label, counted in of_drive.items():
-            counts[name][label] = counts[name][label] + counted
+    shown = track(done, description="suite", total=len(tasks), unit="drives")
+    return _result(suite, pipelines, judged, zip((task[2] for task in tasks), shown, strict=True))
 
-    accuracy_scenarios = tuple(name for name in names if suite.scenarios[name].counts_for_accuracy)
-    return SuiteResult(
-        version=autolights.__version__,
-        suite=suite,
-        pipelines=dict(pipelines),
-        scenarios={
-            name: {label: figures(counted) for label, counted in labels.items()} for name, labels in counts.items()
-        },
-        accuracy_scenarios=accuracy_scenarios,
-        whole={label: figures(_sum(counts, accuracy_scenarios, label)) for label in pipelines},
-        everything={label: figures(_sum(counts, names, label)) for label in pipelines},
-        verdicts=judge(suite, {name: labels[judged] for name, labels in counts.items()}),
-    )
+
+def run_recorded(
+    suite: SuiteConfig,
+    recorded: Sequence[RecordedDrive],
+    hmm: Mapping[str, HmmParameters],
+    pipelines: Mapping[str, PipelineConfig],
+    *,
+    scenarios: Sequence[str] = (),
+    judged: str = "full",
+) -> SuiteResult:
+    """Run pipelines over recorded drives, disturbed as the scenarios have it.
+
+    Args:
+        suite: The scenarios; those that need another town, detector or frame rate are left out.
+        recorded: Drives with truth and detections.
+        hmm: Of the detector.
+        pipelines: Settings by label.
+        scenarios: Names; none means all that are possible.
+        judged: Label of the pipeline that is held against the targets.
+
+    Raises:
+        UsageError: If a scenario is unknown or cannot be had of a recorded drive, or `judged` is unknown.
+    """
+    names = _chosen(suite, scenarios)
+    if scenarios:
+        for name in names:
+            if not suite.scenarios[name].recordable:
+                raise UsageError(
+                    f"scenario '{name}' cannot be had of a recorded drive: it needs another town or detector"
+                )
+    names = [name for name in names if suite.scenarios[name].recordable]
+    tasks = [(name, drive) for name in names for drive in recorded]
+
+    def counted() -> Iterator[tuple[str, dict[str, Tally]]]:
+        for name, drive in track(tasks, description="suite", total=len(tasks), unit="drives"):
+            disturbed = disturb(drive, name, suite.scenarios[name], (suite.seed, *name.encode()))
+            yield name, {label: tally(run) for label, run in run_pipelines(disturbed, hmm, pipelines).items()}
+
+    return _result(suite, pipelines, judged, counted())
 
 
 def default_pipelines(config: PipelineConfig, paper: PipelineConfig) -> dict[str, PipelineConfig]:
@@ -118,10 +141,57 @@ def default_pipelines(config: PipelineConfig, paper: PipelineConfig) -> dict[str
     return variants | {"paper": paper.model_copy(update={"variant": "full"})}
 
 
+def _chosen(suite: SuiteConfig, scenarios: Sequence[str]) -> list[str]:
+    for name in scenarios:
+        if name not in suite.scenarios:
+            raise UsageError(f"the suite has no scenario '{name}'; it has {', '.join(suite.scenarios)}")
+    return list(scenarios) or list(suite.scenarios)
+
+
+def _result(
+    suite: SuiteConfig,
+    pipelines: Mapping[str, PipelineConfig],
+    judged: str,
+    drives: Iterable[tuple[str, Mapping[str, Tally]]],
+) -> SuiteResult:
+    if judged not in pipelines:
+        raise UsageError(f"no pipeline '{judged}' to be judged; there are {', '.join(pipelines)}")
+    counts: dict[str, dict[str, Tally]] = {}
+    of_drives: dict[str, list[float]] = {label: [] for label in pipelines}
+    for name, of_drive in drives:
+        of_scenario = counts.setdefault(name, dict.fromkeys(pipelines, Tally()))
+        for label, counted in of_drive.items():
+            of_scenario[label] = of_scenario[label] + counted
+            if suite.scenarios[name].counts_for_accuracy:
+                of_drives[label].append(100 * counted.right / max(counted.rows, 1))
+    accuracy_scenarios = tuple(name for name in counts if suite.scenarios[name].counts_for_accuracy)
+    return SuiteResult(
+        version=autolights.__version__,
+        suite=suite,
+        pipelines=dict(pipelines),
+        scenarios={
+            name: {label: figures(counted) for label, counted in labels.items()} for name, labels in counts.items()
+        },
+        accuracy_scenarios=accuracy_scenarios,
+        whole={label: figures(_sum(counts, accuracy_scenarios, label)) for label in pipelines},
+        everything={label: figures(_sum(counts, tuple(counts), label)) for label in pipelines},
+        accuracy_of_drives={label: tuple(values) for label, values in of_drives.items()},
+        verdicts=judge(suite, {name: labels[judged] for name, labels in counts.items()}),
+    )
+
+
+def _check_confusion(suite: SuiteConfig) -> None:
+    """Each description takes the classes that it knows; one that none knows is a slip."""
+    known = {name for entry in suite.scenarios.values() for name in load_signals(entry.signals).classes}
+    named = {name for truth, errors in suite.confusion.items() for name in (truth, *errors)}
+    if not named <= known:
+        raise UsageError(f"confusion names '{min(named - known)}', which no scenario's signal description knows")
+
+
 def _run_drive(task: tuple[SuiteConfig, dict[str, PipelineConfig], str, int]) -> dict[str, Tally]:
     suite, pipelines, name, index = task
-    only = suite.scenarios[name].pipelines
-    wanted = {label: config for label, config in pipelines.items() if not only or label in only}
+    left_out = () if suite.scenarios[name].ablation else _ABLATION
+    wanted = {label: config for label, config in pipelines.items() if label not in left_out}
     drive = build_drive(suite, name, index)
     hmm = suite_hmm(suite, load_signals(suite.scenarios[name].signals))
     return {label: tally(run) for label, run in run_pipelines(drive, hmm, wanted).items()}

@@ -11,9 +11,9 @@ from autolights.core import Detections, HmmParameters, ImageArray, LightEstimate
 from autolights.data import EstimateSet
 from autolights.evaluate.outcomes import RunOutcomes, hold_against_truth
 from autolights.pipeline import LightPipeline, PipelineConfig
-from autolights.sim.detector_model import confusion_rates, expected_confusion
+from autolights.sim.detector_model import expected_confusion
 from autolights.suite.config import SuiteConfig
-from autolights.suite.drives import SuiteDrive
+from autolights.suite.drives import SuiteDrive, known_rates
 from autolights.track import associate, association_cost, project_lights
 from autolights.train.deliver.hmm_fitting import fit_hmm
 
@@ -69,9 +69,8 @@ class _NoDetector:
 
 def suite_hmm(suite: SuiteConfig, signals: SignalSet) -> dict[str, HmmParameters]:
     """The HMMs that a runtime gets: fitted on the validation set's confusion, not on the road's."""
-    known = {truth: errors for truth, errors in suite.confusion.items() if truth in signals.class_ids}
     confusion = expected_confusion(
-        confusion_rates(known, signals),
+        known_rates(suite, signals),
         signals,
         per_class=suite.confusion_lights,
         miss_rate=suite.confusion_miss_rate,

@@ -1,5 +1,6 @@
 """Town, signals and motion of a drive as arrays over time: the truth behind images that nobody paints."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +10,11 @@ from autolights.core.transforms import invert_rigid, rigid
 from autolights.sim.heads import SignalHead
 from autolights.sim.programme import FLASHING, PHASES, SHOWN, Programme, draw_programme
 from autolights.sim.rig import rotation_from_angles
-from autolights.sim.script import START_M
-from autolights.sim.town import HALF_WIDTH_M, LANE_CENTERS_M, JunctionPlan, Town, build_town
+from autolights.sim.town import HALF_WIDTH_M, LANE_CENTERS_M, Junction, JunctionPlan, Town, build_town
 from autolights.sim.vehicle import Motion, drive_along
 from autolights.suite.config import ScenarioConfig
 
+_ROW_M = 1.9  # from one row of lights to the next above it
 _CYCLE_S = 26.0  # about one cycle of a programme
 _SWEEP_MPS = 14.0  # how fast the edge of a lorry passes over a row of lights
 _EDGE_S = 0.1  # how long it takes over one light
@@ -102,16 +103,21 @@ class Occlusions:
 def build_scene(scenario: ScenarioConfig, signals: SignalSet, rng: np.random.Generator) -> Scene:
     """Decide a drive; depends on its arguments alone."""
     plans = []
-    for _ in range(scenario.junctions):
-        layout = scenario.layouts[int(rng.integers(len(scenario.layouts)))]
+    drawn = rng.integers(len(scenario.layouts), size=scenario.junctions)
+    for i in drawn if scenario.junction_spacing_m is None else [drawn[0]] * len(drawn):
+        layout = scenario.layouts[int(i)]
         side = sorted(signals.types)[0]
         plans.append(JunctionPlan(layout, right_mast=side, near_side=side))
     town = build_town(signals, plans, rng)
     if scenario.row_spacing_m is not None:
         town = replace(town, heads=tuple(_closer(town, head, scenario.row_spacing_m) for head in town.heads))
+    town = replace(town, heads=tuple(copy for head in town.heads for copy in _stacked(head, scenario.rows)))
+    if scenario.junction_spacing_m is not None:
+        town = _spaced(town, scenario.junction_spacing_m)
     programmes = [draw_programme(float(rng.uniform(0, _CYCLE_S)), rng) for _ in town.junctions]
-    cruise_mps, start_m = scenario.cruise_mps, START_M
-    motion = drive_along(start_m, LANE_CENTERS_M[1], cruise_mps, scenario.duration_s, town.junctions, programmes)
+    motion = drive_along(
+        scenario.start_m, LANE_CENTERS_M[1], scenario.cruise_mps, scenario.duration_s, town.junctions, programmes
+    )
     heading = rotation_from_angles(float(rng.uniform(-180, 180)), 0, 0)
     lookalikes, classes = _draw_lookalikes(town, signals, scenario.lookalikes_per_junction, rng)
     return Scene(
@@ -143,15 +149,15 @@ def show(
     names = [SHOWN[type_name][phase] for phase in PHASES]
     if kind == "flashing_red":
         names = [FLASHING if phase == "crossing" else name for phase, name in zip(PHASES, names, strict=True)]
-    flashing = np.array([name == FLASHING for name in names])
-    pairs = signals.types[type_name].flashing
-    if not flashing.any():
+    if kind == "steady":
+        names = [SHOWN[type_name]["left"] if name == FLASHING else name for name in names]
+    if FLASHING not in names:
         ids = np.array([signals.class_ids[name] for name in names])[phases]
         return ids, ids, np.zeros(len(times_s), dtype=bool)
-    pair = pairs[0]
+    pair = signals.types[type_name].flashing[0]
     on, off, reported = (signals.class_ids[name] for name in (pair.on, pair.off, pair.reported))
-    steady = np.array([signals.class_ids.get(name, on) for name in names])[phases]
-    flashes = flashing[phases] & (kind != "steady")
+    steady = np.array([on if name == FLASHING else signals.class_ids[name] for name in names])[phases]
+    flashes = np.array([name == FLASHING for name in names])[phases]
     dark = flashes & (in_phase % programme.flash_period_s >= programme.flash_on_s)
     return np.where(dark, off, steady), np.where(flashes, reported, steady), flashes
 
@@ -191,6 +197,35 @@ def _closer(town: Town, head: SignalHead, spacing_m: float) -> SignalHead:
     middle = LANE_CENTERS_M[1]
     across = middle + spacing_m * ((len(row) - 1) / 2 - [h.id for h in row].index(head.id))
     return replace(head, position=np.array([head.position[0], across, head.position[2]]))
+
+
+def _stacked(head: SignalHead, rows: int) -> Iterator[SignalHead]:
+    """A head, and copies above it if it hangs over our lanes."""
+    yield head
+    for row in range(1, rows if _over_lanes(head) else 1):
+        position = head.position + np.array([0.0, 0.0, _ROW_M * row])
+        yield replace(head, id=f"{head.id}-{row + 1}", position=position)
+
+
+def _spaced(town: Town, spacing_m: float) -> Town:
+    """A town with its junctions so far apart."""
+    shift_m = {j.name: i * spacing_m - j.stop_line_m for i, j in enumerate(town.junctions)}
+    return replace(
+        town,
+        junctions=tuple(
+            Junction(
+                j.name,
+                j.stop_line_m + shift_m[j.name],
+                j.heads_m + shift_m[j.name],
+                (j.street_m[0] + shift_m[j.name], j.street_m[1] + shift_m[j.name]),
+            )
+            for j in town.junctions
+        ),
+        heads=tuple(
+            replace(head, position=head.position + np.array([shift_m[head.intersection], 0.0, 0.0]))
+            for head in town.heads
+        ),
+    )
 
 
 def _over_lanes(head: SignalHead) -> bool:

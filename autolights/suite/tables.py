@@ -2,6 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+from scipy.special import stdtrit
+
 from autolights.evaluate.score import Share
 from autolights.suite.figures import Figures, Spread
 from autolights.suite.result import SuiteResult
@@ -29,6 +32,20 @@ def markdown(result: SuiteResult) -> str:
             _figures_table(list(result.scenarios[name].items())),
         ]
     return "\n\n".join(parts) + "\n"
+
+
+def comparison(result: SuiteResult, first: str, second: str) -> str:
+    """Two pipelines on the same drives: the difference in class accuracy, paired drive by drive."""
+    gains = np.subtract(result.accuracy_of_drives[second], result.accuracy_of_drives[first])
+    if len(gains) < 2:
+        return "Too few drives to compare."
+    # Student's t over drives: the drives are the independent draws, not the frames.
+    half_width = stdtrit(len(gains) - 1, 0.975) * gains.std(ddof=1) / np.sqrt(len(gains))
+    return (
+        f"{second} against {first}: class accuracy {gains.mean():+.2f} points "
+        f"(95 % interval {gains.mean() - half_width:+.2f} to {gains.mean() + half_width:+.2f}, paired over "
+        f"{len(gains)} drives; better on {(gains > 0).sum()}, worse on {(gains < 0).sum()})."
+    )
 
 
 def _targets(verdicts: Iterable[Verdict]) -> str:

@@ -112,3 +112,14 @@ def test_the_road_errs_by_another_matrix_than_the_models_know(suite: SuiteConfig
 def test_unknown_scenario(suite: SuiteConfig) -> None:
     with pytest.raises(UsageError, match="no scenario 'fog'; it has plain"):
         next(scenario_drives(suite, "fog"))
+
+
+def test_red_balls_flash_by_another_description(suite: SuiteConfig) -> None:
+    drive = build_drive(suite, "flashing_red", 0)
+    pair = drive.signals.types["3"].flashing[0]
+    shown = {
+        (light.class_name, light.lit_class, light.flashing) for frame in drive.truth.values() for light in frame.lights
+    }
+    # A red that flashes is red in both phases, and red again when it does not.
+    assert {("3-red", "3-red", True), ("3-red", "3-off", True), ("3-red", "3-red", False)} <= shown
+    assert {lit for _, lit, flashing in shown if flashing} == {pair.on, pair.off}

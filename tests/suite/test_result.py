@@ -3,7 +3,7 @@ import pytest
 from autolights.core import load_config
 from autolights.core.errors import UsageError
 from autolights.pipeline import PipelineConfig
-from autolights.suite import SuiteConfig, SuiteResult, default_pipelines, markdown, run_suite
+from autolights.suite import SuiteConfig, SuiteResult, comparison, default_pipelines, markdown, run_suite
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +57,18 @@ def test_misuse(suite: SuiteConfig) -> None:
         run_suite(suite, pipelines, scenarios=["fog"])
     with pytest.raises(UsageError, match="no pipeline 'B' to be judged; there are full"):
         run_suite(suite, pipelines, judged="B")
+
+
+def test_two_configurations_side_by_side(suite: SuiteConfig) -> None:
+    lax = PipelineConfig()
+    blind = PipelineConfig(fusion_score_threshold=0.99)
+    result = run_suite(suite, {"A": lax, "B": blind, "A2": lax}, scenarios=["plain", "turned"], judged="B")
+    same, worse = comparison(result, "A", "A2"), comparison(result, "A", "B")
+    assert "class accuracy +0.00 points" in same
+    assert "better on 0, worse on 2" in worse
+
+
+def test_a_class_that_no_description_knows_is_a_slip(suite: SuiteConfig) -> None:
+    slip = suite.model_copy(update={"confusion": {**suite.confusion, "3-gren": {"3-red": 0.1}}})
+    with pytest.raises(UsageError, match="confusion names '3-gren'"):
+        run_suite(slip, {"full": PipelineConfig()}, scenarios=["plain"])
