@@ -60,38 +60,61 @@ def run(
 
 def detect(
     bundle: Annotated[Path, typer.Argument(exists=True, help="Folder made by `bundle`.")],
-    inputs: Annotated[list[str], typer.Argument(help="Images, folders, globs or videos.")],
+    inputs: Annotated[list[str], typer.Argument(help="Images, folders, globs, videos, or a camera as camera:0.")],
     out: Out = Path("runs/detect"),
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--format", help="jsonl (default), yolo (a text per image) or coco (one JSON); repeatable."),
+    ] = None,
     score_threshold: Annotated[
         float | None, typer.Option(min=0.001, max=0.999, help="Instead of the bundle's own.")
     ] = None,
+    scores: Annotated[bool, typer.Option(help="Scores as a sixth column of YOLO texts.")] = True,
     pictures: Annotated[bool, typer.Option(help="Write pictures with boxes.")] = True,
+    max_images: Annotated[int, typer.Option(min=0, help="Stop after so many images; 0: never.")] = 0,
     threads: Threads = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Detect lights in images or videos.
+    """Detect lights in images, videos or what a camera sees.
 
-    Writes detections.jsonl and pictures with boxes into --out; an image that does not decode is named and counted.
+    Writes detections.jsonl, labels/ (YOLO) or coco.json, and pictures with boxes, into --out. What does not decode is
+    named, counted and passed over. A camera runs until Ctrl-C, and what was seen until then is kept.
 
     \b
     Example: autolights detect bundle photos/*.jpg --out runs/detect
+             autolights detect bundle drive.mp4 --format coco --no-pictures --out runs/drive
+             autolights detect bundle camera:0 --out runs/live
     """
+    from typing import get_args
+
+    from autolights.core.errors import UsageError
+    from autolights.data.detection_files import DetectionFormat
     from autolights.detect import detect_files
 
+    known = get_args(DetectionFormat)
+    for name in formats or ():
+        if name not in known:
+            raise UsageError(f"--format must be one of {', '.join(known)}, got {name!r}")
     summary = detect_files(
         bundle,
         inputs,
         out,
+        formats=[known[known.index(name)] for name in formats or ("jsonl",)],
         score_threshold=score_threshold,
+        scores=scores,
         pictures=pictures,
+        max_images=max_images or None,
         threads=threads or None,
         force=force,
     )
     if as_json:
         typer.echo(json.dumps(summary.to_json()))
         return
-    typer.echo(f"{out}: {summary.detections} lights in {summary.images} images, {summary.skipped} skipped")
+    typer.echo(
+        f"{out}: {summary.detections} lights in {summary.images} images, {summary.images_per_s:.1f} images/s; "
+        f"skipped {summary.skipped} files and {summary.bad_frames} frames"
+    )
 
 
 def tune(

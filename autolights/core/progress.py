@@ -12,13 +12,13 @@ T = TypeVar("T")
 _PLAIN_LINE_EVERY_S = 10.0
 
 
-def track(items: Iterable[T], *, description: str, total: int, unit: str = "") -> Iterator[T]:
+def track(items: Iterable[T], *, description: str, total: int | None, unit: str = "") -> Iterator[T]:
     """Pass `items` on and show how far they are.
 
     Args:
         items: What to go through.
         description: What is being done, e.g. ``epoch 3/10``.
-        total: How many items there will be.
+        total: How many items there will be; None if that is not known.
         unit: What one item is called in the rate, e.g. ``images``; empty for no rate.
     """
     if sys.stderr.isatty():
@@ -32,7 +32,7 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _with_bar(items: Iterable[T], description: str, total: int) -> Iterator[T]:
+def _with_bar(items: Iterable[T], description: str, total: int | None) -> Iterator[T]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -45,7 +45,7 @@ def _with_bar(items: Iterable[T], description: str, total: int) -> Iterator[T]:
         yield from progress.track(items, total=total, description=description)
 
 
-def _with_lines(items: Iterable[T], description: str, total: int, unit: str) -> Iterator[T]:
+def _with_lines(items: Iterable[T], description: str, total: int | None, unit: str) -> Iterator[T]:
     start = last = time.monotonic()
     for done, item in enumerate(items, start=1):
         yield item
@@ -54,4 +54,7 @@ def _with_lines(items: Iterable[T], description: str, total: int, unit: str) -> 
             last = now
             rate = done / (now - start)
             speed = f", {rate:.1f} {unit}/s" if unit else ""
-            say(f"{description}: {done}/{total}{speed}, {max(total - done, 0) / rate:.0f} s left")
+            if total is None:
+                say(f"{description}: {done}{speed}")
+            else:
+                say(f"{description}: {done}/{total}{speed}, {max(total - done, 0) / rate:.0f} s left")

@@ -1,6 +1,8 @@
-"""Images from wherever users have them: files, folders, globs and videos, one after the other."""
+"""Images from wherever users have them: files, folders, globs, videos and cameras, one after the other."""
 
 import glob
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +13,12 @@ import numpy as np
 from autolights.core import ImageArray
 from autolights.core.errors import UsageError
 from autolights.core.image_files import IMAGE_ENDINGS
+from autolights.infer.videos import camera_frames, frame_count, video_frames
 
 VIDEO_ENDINGS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm"})
+
+
+_CAMERA = re.compile(r"camera:(\d+)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +26,10 @@ class SourceImage:
     """One image.
 
     Attributes:
-        path: The file that it comes from.
-        frame: Its number in the video, from 0; None for a file that is an image.
+        path: The file that it comes from, or ``camera:N``.
+        frame: Its number in the video or since the camera was opened, from 0; None for a file that is an image.
         picture_name: A relative path without ending under which a result may be stored; unique among all images.
-        image_bgr: (H, W, 3) uint8.
+        image_bgr: (H, W, 3) uint8, turned upright where the file says how (EXIF).
     """
 
     path: Path
@@ -33,14 +39,16 @@ class SourceImage:
 
 
 class ImageSources:
-    """Iterate over images; what cannot be decoded is left out and remembered in `skipped`.
+    """Iterate over images; what cannot be decoded is left out and remembered.
 
     Args:
-        inputs: Image or video files, folders (searched through, in alphabetical order), or globs.
+        inputs: Image or video files, folders (searched through, in alphabetical order), globs, or cameras as
+            ``camera:0``.
 
     Attributes:
-        paths: The files, each once.
-        skipped: Files that did not decode so far.
+        paths: The files and cameras, each once.
+        skipped: Files of which nothing decoded, and cameras that gave nothing, so far.
+        bad_frames: How many frames of each video or camera did not decode, so far.
 
     Raises:
         UsageError: If an input does not exist, is of an unknown kind, or holds no image.
@@ -56,16 +64,25 @@ class ImageSources:
                     self._names[path] = _unused(name, set(self._names.values()))
         self.paths = tuple(self._names)
         self.skipped: list[Path] = []
+        self.bad_frames: Counter[Path] = Counter()
 
     @property
-    def expected_images(self) -> int:
-        """How many images there will be if all decode; for videos what their headers say."""
-        return sum(_frame_count(path) if _is_video(path) else 1 for path in self.paths)
+    def live(self) -> bool:
+        """Whether a camera is among them: it ends when it is told to."""
+        return any(_camera(path) is not None for path in self.paths)
+
+    @property
+    def expected_images(self) -> int | None:
+        """How many images there will be if all decode, for videos what their headers say; None with a camera."""
+        return None if self.live else sum(frame_count(path) if _is_video(path) else 1 for path in self.paths)
 
     def __iter__(self) -> Iterator[SourceImage]:
         for path, name in self._names.items():
-            if _is_video(path):
-                yield from self._frames(path, name)
+            camera = _camera(path)
+            if camera is not None:
+                yield from self._frames(path, name, camera_frames(camera))
+            elif _is_video(path):
+                yield from self._frames(path, name, video_frames(path))
             else:
                 image = cv2.imread(str(path), cv2.IMREAD_COLOR)
                 if image is None:
@@ -73,25 +90,23 @@ class ImageSources:
                 else:
                     yield SourceImage(path, None, name, np.asarray(image, dtype=np.uint8))
 
-    def _frames(self, path: Path, name: str) -> Iterator[SourceImage]:
-        video = cv2.VideoCapture(str(path))
-        try:
-            number = 0
-            while True:
-                there, image = video.read()
-                if not there:
-                    break
-                yield SourceImage(path, number, f"{name}/{number:06d}", np.asarray(image, dtype=np.uint8))
-                number += 1
-        finally:
-            video.release()
-        if number == 0:
+    def _frames(self, path: Path, name: str, frames: Iterator[ImageArray | None]) -> Iterator[SourceImage]:
+        there = 0
+        for number, image in enumerate(frames):
+            if image is None:
+                self.bad_frames[path] += 1
+            else:
+                there += 1
+                yield SourceImage(path, number, f"{name}/{number:06d}", image)
+        if not there:
             self.skipped.append(path)
 
 
 def _expand(given: str) -> list[tuple[Path, str]]:
     """Files behind one input, each with the name of its picture."""
     path = Path(given)
+    if _CAMERA.fullmatch(given):
+        return [(path, given.replace(":", ""))]
     if path.is_dir():
         files = [file for file in sorted(path.rglob("*")) if _is_readable(file)]
         if not files:
@@ -109,12 +124,10 @@ def _expand(given: str) -> list[tuple[Path, str]]:
     return [(file, file.stem) for file in files]
 
 
-def _frame_count(path: Path) -> int:
-    video = cv2.VideoCapture(str(path))
-    try:
-        return max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
-    finally:
-        video.release()
+def _camera(path: Path) -> int | None:
+    """Number of the camera, None for files."""
+    match = _CAMERA.fullmatch(str(path))
+    return int(match[1]) if match else None
 
 
 def _is_video(path: Path) -> bool:

@@ -1,13 +1,17 @@
 import json
+import signal
+from itertools import count
 
 import cv2
 import numpy as np
 import pytest
+from pycocotools.coco import COCO
 
 from autolights.core import Bundle, ConfusionMatrix, load_signals
 from autolights.core.errors import UsageError
+from autolights.data.image_labels import read_labels
 from autolights.detect import detect_files
-from autolights.infer import Detector
+from autolights.infer import Detector, sources
 from autolights.train.deliver.hmm_fitting import fit_hmm
 
 SIGNALS = load_signals()
@@ -37,7 +41,8 @@ def photos(tmp_path):
 def test_lines_pictures_and_counts(bundle_dir, photos, tmp_path, capsys):
     summary = detect_files(bundle_dir, [photos], tmp_path / "out", threads=1)
 
-    assert summary.to_json() == {"images": 2, "detections": 2, "skipped": 1}
+    assert (summary.images, summary.detections, summary.skipped, summary.bad_frames) == (2, 2, 1, 0)
+    assert summary.images_per_s > 0
     lines = [json.loads(line) for line in (tmp_path / "out" / "detections.jsonl").read_text().splitlines()]
     assert lines[1] == {
         "path": str(photos / "b.png"),
@@ -59,7 +64,7 @@ def test_threshold_and_pictures_are_settings(bundle_dir, photos, tmp_path):
 
 
 def test_nothing_half_written_is_left_behind(bundle_dir, photos, tmp_path):
-    with pytest.raises(UsageError, match=r"none of the 1 files could be decoded, the first: .*c\.jpg"):
+    with pytest.raises(UsageError, match=r"none of the 1 inputs gave an image, the first: .*c\.jpg"):
         detect_files(bundle_dir, [photos / "c.jpg"], tmp_path / "out")
 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bundle", "constant.onnx", "photos"]
@@ -81,3 +86,69 @@ def test_detector_of_a_bundle(bundle_dir):
 
     assert (detector.classes, detector.score_threshold) == (SIGNALS.classes, 0.25)
     assert len(detector(np.zeros((32, 64, 3), dtype=np.uint8))) == 1
+
+
+def test_yolo_labels_are_read_back_as_labels(bundle_dir, photos, tmp_path):
+    detect_files(bundle_dir, [photos], tmp_path / "out", formats=["yolo"], scores=False, pictures=False)
+
+    labels = read_labels(tmp_path / "out/labels/b.txt", len(SIGNALS.classes))
+    np.testing.assert_allclose(labels.boxes_cxcywh, [[0.5, 0.5, 20 / 128, 40 / 64]], atol=1e-6)
+    assert (tmp_path / "out/classes.txt").read_text().splitlines() == list(SIGNALS.classes)
+
+
+def test_yolo_scores_are_a_sixth_column(bundle_dir, photos, tmp_path):
+    detect_files(bundle_dir, [photos / "a.png"], tmp_path / "out", formats=["yolo"], pictures=False)
+
+    class_id = SIGNALS.class_ids["3-red"]
+    assert (tmp_path / "out/labels/a.txt").read_text() == f"{class_id} 0.500000 0.500000 0.156250 0.625000 0.400000\n"
+
+
+def test_coco_is_read_by_its_own_library(bundle_dir, photos, tmp_path, capsys):
+    detect_files(bundle_dir, [photos], tmp_path / "out", formats=["coco", "jsonl", "coco"], pictures=False)
+
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["coco.json", "detections.jsonl"]
+    dataset = COCO(str(tmp_path / "out/coco.json"))
+    assert [(image["file_name"], image["width"]) for image in dataset.loadImgs([1, 2])] == [
+        (str(photos / "a.png"), 64),
+        (str(photos / "b.png"), 128),
+    ]
+    assert [(a["bbox"], a["score"]) for a in dataset.loadAnns(dataset.getAnnIds(imgIds=[2]))] == [
+        ([54.0, 12.0, 20.0, 40.0], 0.4)
+    ]
+    assert dataset.loadCats([3])[0]["name"] == SIGNALS.classes[3]
+    assert len(dataset.loadRes(dataset.dataset["annotations"]).getAnnIds()) == 2
+
+
+def test_coco_of_nothing_found(bundle_dir, photos, tmp_path):
+    detect_files(bundle_dir, [photos], tmp_path / "out", formats=["coco"], score_threshold=0.9, pictures=False)
+
+    values = json.loads((tmp_path / "out/coco.json").read_text())
+    assert (values["annotations"], len(values["images"])) == ([], 2)
+
+
+def test_ctrl_c_ends_a_camera_and_keeps_what_was_seen(bundle_dir, tmp_path, monkeypatch):
+    def endless(_):
+        for i in count():
+            if i == 3:
+                signal.raise_signal(signal.SIGINT)
+            yield np.zeros((32, 64, 3), dtype=np.uint8)
+
+    monkeypatch.setattr(sources, "camera_frames", endless)
+    handler = signal.getsignal(signal.SIGINT)
+
+    summary = detect_files(bundle_dir, ["camera:0"], tmp_path / "out", pictures=False)
+
+    assert (summary.images, len((tmp_path / "out/detections.jsonl").read_text().splitlines())) == (4, 4)
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_ctrl_c_in_the_middle_of_files_leaves_nothing(bundle_dir, photos, tmp_path, monkeypatch):
+    monkeypatch.setattr(sources.cv2, "imread", lambda *_: signal.raise_signal(signal.SIGINT))
+
+    with pytest.raises(KeyboardInterrupt):
+        detect_files(bundle_dir, [photos], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_limit_of_images(bundle_dir, photos, tmp_path):
+    assert detect_files(bundle_dir, [photos], tmp_path / "out", max_images=1, pictures=False).images == 1

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from autolights.core.errors import UsageError
-from autolights.infer import ImageSources
+from autolights.infer import ImageSources, videos
 
 
 def write_image(path, grey=100):
@@ -75,6 +75,71 @@ def test_broken_video_is_skipped(tmp_path):
 
     assert list(sources) == []
     assert (sources.skipped, sources.expected_images) == ([path], 0)
+
+
+class FakeCapture:
+    """A camera or decoder that gives what it is told; None fails."""
+
+    def __init__(self, greys):
+        self.greys = list(greys)
+
+    def isOpened(self):  # noqa: N802  (OpenCV's name)
+        return bool(self.greys)
+
+    def read(self):
+        grey = self.greys.pop(0) if self.greys else None
+        return (False, None) if grey is None else (True, np.full((4, 6, 3), grey, dtype=np.uint8))
+
+    def get(self, _):
+        return float(len(self.greys))
+
+    def release(self):
+        self.greys = []
+
+
+def test_frames_after_a_bad_one_are_read(monkeypatch, video):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: FakeCapture([1, None, None, 4, *[None] * 40, 5]))
+    sources = ImageSources([video])
+
+    assert [(image.frame, image.image_bgr[0, 0, 0]) for image in sources] == [(0, 1), (3, 4)]
+    assert (sources.bad_frames, sources.skipped) == ({video: 2}, [])
+
+
+def test_damaged_video_is_read_on(video):
+    """Bytes in the middle of the second frame are lost: OpenCV's decoder conceals or drops it, the third is there."""
+    data = bytearray(video.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 40] = bytes(40)
+    video.write_bytes(data)
+
+    frames = list(ImageSources([video]))
+
+    assert len(frames) >= 2
+    assert frames[-1].image_bgr.mean() == pytest.approx(110, abs=3)
+
+
+def test_camera_until_it_falls_silent(monkeypatch):
+    opened = []
+    monkeypatch.setattr(videos, "_CAMERA_PATIENCE_S", 0.1)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda index: opened.append(index) or FakeCapture([7, None, 9]))
+    sources = ImageSources(["camera:2"])
+
+    images = list(sources)
+
+    assert opened == [2]
+    assert [(str(image.path), image.frame, image.picture_name) for image in images] == [
+        ("camera:2", 0, "camera2/000000"),
+        ("camera:2", 2, "camera2/000002"),
+    ]
+    assert (sources.live, sources.expected_images, sources.bad_frames.total()) == (True, None, 1)
+
+
+def test_camera_that_is_not_there_is_skipped(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: FakeCapture([]))
+    sources = ImageSources(["camera:9"])
+
+    assert list(sources) == []
+    assert [str(path) for path in sources.skipped] == ["camera:9"]
 
 
 @pytest.mark.parametrize(
