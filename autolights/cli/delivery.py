@@ -1,34 +1,62 @@
 """The verbs that make a bundle of a checkpoint: export, fit-hmm, bundle."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast, get_args
 
 import typer
 
 from autolights.cli.options import Force, Out, Signals
 from autolights.core.errors import ConfigError, UsageError
+from autolights.core.model_info import Head, Precision
 
 
 def export(
-    checkpoint: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="best.pt of a training run.")],
+    checkpoint: Annotated[
+        Path,
+        typer.Argument(exists=True, dir_okay=False, help="best.pt of a training run, or a public YOLOv5 checkpoint."),
+    ],
     out: Out = Path("runs/export/model.onnx"),
     size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
+    head: Annotated[
+        str,
+        typer.Option(
+            help="What comes out. raw: rows of the network; end2end: lights, suppressed in the graph; efficient-nms: "
+            "the same by a plug-in of full TensorRT, without class vectors, so not for bundles.",
+        ),
+    ] = "raw",
+    precision: Annotated[str, typer.Option(help="Of weights and arithmetic: fp32, fp16 or int8.")] = "fp32",
+    half_io: Annotated[bool, typer.Option("--half-io", help="Input and outputs in float16; needs fp16.")] = False,
+    dynamic: Annotated[
+        list[str] | None,
+        typer.Option(help="What is left free: batch (the number of images) or size (multiples of 32); repeatable."),
+    ] = None,
+    opset: Annotated[int, typer.Option(help="ONNX operator set, 17 to 20.")] = 17,
     score_threshold: Annotated[float, typer.Option(min=0.001, max=0.999, help="Of the runtime.")] = 0.25,
+    nms_iou_threshold: Annotated[
+        float, typer.Option(min=0.01, max=0.99, help="Of two boxes that overlap more the worse one goes.")
+    ] = 0.5,
+    max_detections: Annotated[int, typer.Option(min=1, max=512, help="The most lights of an image.")] = 100,
     metrics: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="metrics.json of `val`, kept in the manifest.")
     ] = None,
     image: Annotated[
-        list[str] | None, typer.Option(help="Images to compare on, beside random ones; repeatable.")
+        list[str] | None,
+        typer.Option(help="Images to compare on, beside random ones: files, folders or globs; repeatable."),
     ] = None,
     force: Force = False,
 ) -> None:
     """Export a checkpoint to ONNX and check it number by number against the network it came from.
 
-    Writes the model and a description (.json) beside it; if they disagree nothing is written.
+    Writes the model and a description (.json) beside it. ONNX Runtime runs it on random images and on those of
+    --image, at several batches and sizes where these are free; unless it says what the network says, nothing is
+    written. The figures go into the description, and from there into the bundle's manifest.
 
     \b
-    Example: autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
+    Examples:
+      autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
+      autolights export runs/train/best.pt --head end2end --dynamic batch --image 'runs/images/images/val/*.jpg'
     """
     from autolights.core.atomic import refuse_existing
     from autolights.core.json_files import read_json_object
@@ -40,11 +68,23 @@ def export(
     width, cross, height = size.partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise UsageError(f"--size must read WIDTHxHEIGHT, e.g. 960x608, got {size!r}")
+    _check_choice("--head", head, get_args(Head))
+    _check_choice("--precision", precision, get_args(Precision))
+    for free in dynamic or ():
+        _check_choice("--dynamic", free, ("batch", "size"))
     report = export_onnx(
         load_checkpoint(checkpoint),
         out,
         size_wh=(int(width), int(height)),
+        head=cast(Head, head),
+        precision=cast(Precision, precision),
+        half_io=half_io,
+        dynamic_batch="batch" in (dynamic or ()),
+        dynamic_size="size" in (dynamic or ()),
+        opset=opset,
         score_threshold=score_threshold,
+        nms_iou_threshold=nms_iou_threshold,
+        max_detections=max_detections,
         images=[source.image_bgr for source in ImageSources(image)] if image else (),
         training=read_json_object(metrics) if metrics else None,
     )
@@ -134,3 +174,8 @@ def _read_overrides(path: Path) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise ConfigError(f"{path}: must hold fields by type of light, got {type(values).__name__}")
     return values
+
+
+def _check_choice(option: str, value: str, choices: Sequence[str]) -> None:
+    if value not in choices:
+        raise UsageError(f"{option} must be {', '.join(choices[:-1])} or {choices[-1]}, got {value!r}")

@@ -270,6 +270,10 @@ class YoloV5(nn.Module):
 
     def logits(self, images: Tensor) -> list[Tensor]:
         """(B, 3, H, W) RGB in [0, 1], sides multiples of 32 → per level (B, 3, H / stride, W / stride, 5 + C)."""
+        return self.detect.forward(self.features(images))
+
+    def features(self, images: Tensor) -> list[Tensor]:
+        """(B, 3, H, W) as for `logits` → per level (B, channels, H / stride, W / stride), what the last layer sees."""
         layers = self.model
         x = images
         kept: dict[int, Tensor] = {}
@@ -286,7 +290,7 @@ class YoloV5(nn.Module):
         features = [out8, out16, out32]
         if self.fine is not None:
             features.append(self.fine(out8, kept[2]))
-        return self.detect.forward(features)
+        return features
 
     def forward(self, images: Tensor) -> Tensor | list[Tensor]:
         """See the class."""

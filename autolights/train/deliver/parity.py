@@ -1,0 +1,282 @@
+"""Does an ONNX file say what the network says? Rows and lights of both, on random and on real images."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import Tensor
+
+from autolights.core import FloatArray, ImageArray, ModelInfo
+from autolights.core.boxes import match_boxes, nms, xyxy_from_cxcywh
+from autolights.core.errors import ParityError
+from autolights.core.model_info import Precision
+from autolights.infer.letterbox import InputBuffer
+from autolights.train.deliver.heads import MAX_CANDIDATES
+from autolights.train.deliver.onnx_file import without_plugin
+from autolights.train.network.model import MAX_STRIDE, YoloV5
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What a difference may be at most; see `Parity`."""
+
+    box_px: float
+    prob: float
+    detection_px: float
+    score: float
+    unmatched_share: float
+    agreement: float
+    match_iou: float
+
+
+TOLERANCES: dict[Precision, Tolerance] = {
+    # Raw rows that see nothing hold boxes a thousand pixels wide: the public nano differs by 0.005 px there, in what it
+    # detects by 0.0002.
+    "fp32": Tolerance(
+        box_px=0.05,
+        prob=1e-4,
+        detection_px=0.01,
+        score=1e-4,
+        unmatched_share=0.0,
+        agreement=0.5,  # 1 in practice; of a network that knows nothing yet, all scores are nearly equal
+        match_iou=0.9,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Largest differences between a network and its export.
+
+    Attributes:
+        images: How many runs of one image were compared.
+        inputs: Their shapes (B, 3, H, W).
+        box_px: Of any centre, width or height of any row, in input pixels; None where the head yields no rows.
+        prob: Of any probability of any row; None likewise.
+        detections: Lights that the network reports, at the score threshold after greedy suppression.
+        detection_px: Of any edge of such a light, in input pixels.
+        score: Of any score or class probability of such a light.
+        unmatched: Such lights that only one of the two reports, left aside those about as good as the threshold, or as
+            the last of a full list.
+        agreement: Share of lights that both report when nothing but the 512 best rows of an image limits them: mostly
+            lights far below the score threshold.
+        candidates: The most rows above the score threshold that an image had.
+    """
+
+    images: int
+    inputs: tuple[tuple[int, ...], ...]
+    box_px: float | None
+    prob: float | None
+    detections: int
+    detection_px: float
+    score: float
+    unmatched: int
+    agreement: float
+    candidates: int
+
+    def check(self, tolerance: Tolerance) -> None:
+        """Compare with what is allowed.
+
+        Raises:
+            ParityError: If a difference is beyond its tolerance (or not a number); it names each that is.
+        """
+        allowed_unmatched = int(tolerance.unmatched_share * self.detections)
+        limits = {
+            "box_px": (self.box_px, tolerance.box_px),
+            "prob": (self.prob, tolerance.prob),
+            "detection_px": (self.detection_px, tolerance.detection_px),
+            "score": (self.score, tolerance.score),
+            "unmatched": (self.unmatched, allowed_unmatched),
+        }
+        wrong = [
+            f"{name} {value:.3g} (allowed: {limit:g})"
+            for name, (value, limit) in limits.items()
+            if value is not None and not value <= limit
+        ]
+        if not self.agreement >= tolerance.agreement:
+            wrong.append(f"agreement {self.agreement:.3g} (at least: {tolerance.agreement:g})")
+        if wrong:
+            crowd = (
+                f"; {self.candidates} rows of an image are above the score threshold, of which the graph looks at "
+                f"{MAX_CANDIDATES}"
+                if self.box_px is None and self.candidates > MAX_CANDIDATES
+                else ""
+            )
+            raise ParityError(
+                f"the ONNX model differs from the network in {', '.join(wrong)}{crowd}; nothing was written"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """For the model's description."""
+        values = {**asdict(self), "inputs": [list(shape) for shape in self.inputs]}
+        return {
+            name: float(f"{value:.3g}") if isinstance(value, float) else value
+            for name, value in values.items()
+            if value is not None
+        }
+
+
+def compare(model: YoloV5, path: Path, info: ModelInfo, images: Sequence[ImageArray] = ()) -> Parity:
+    """Run a network and its ONNX file, with ONNX Runtime on the CPU, on the same inputs.
+
+    Args:
+        model: In eval mode.
+        path: The ONNX file; of one that ends in TensorRT's plug-in all up to the plug-in is run.
+        info: What it was exported as. A dynamic batch is tried with 1 and 3 images, a dynamic size with the size that
+            it is meant for and with a smaller one of another shape.
+        images: BGR images, of any size, besides two random ones.
+    """
+    session = _session(path, info)
+    tolerance = TOLERANCES[info.precision]
+    device = next(model.parameters()).device
+    found = _Differences()
+    for batch in _batches(info, images):
+        with torch.inference_mode():
+            wanted = cast(Tensor, model(torch.from_numpy(batch).to(device))).cpu().numpy()
+        got = session.run(None, {"images": batch.astype(np.float16) if info.half_io else batch})
+        found.inputs.add(batch.shape)
+        for i in range(len(batch)):
+            found.add(wanted[i], [np.asarray(output[i]) for output in got], info, tolerance)
+    return found.parity(info)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lights:
+    """Boxes in input pixels with scores and class probabilities, best first."""
+
+    boxes_xyxy: FloatArray
+    scores: FloatArray
+    class_probs: FloatArray
+
+    @classmethod
+    def greedy(cls, rows: FloatArray, info: ModelInfo) -> "_Lights":
+        """Of (N, 5 + C) rows: the best 512, or all above the score threshold if these are more, suppressed."""
+        scores = _scores(rows)
+        least = np.partition(scores, -MAX_CANDIDATES)[-MAX_CANDIDATES] if len(scores) > MAX_CANDIDATES else 0.0
+        chosen = rows[scores >= min(least, info.score_threshold)].astype(np.float64)
+        boxes, scores = xyxy_from_cxcywh(chosen[:, :4]), _scores(chosen)
+        kept = nms(boxes, scores, iou_threshold=info.nms_iou_threshold, max_boxes=info.max_detections)
+        return cls(boxes[kept], scores[kept], chosen[kept, 5:])
+
+    @classmethod
+    def reported(cls, boxes: FloatArray, scores: FloatArray, _classes: FloatArray, probs: FloatArray) -> "_Lights":
+        """Of the outputs of an end2end head."""
+        there = scores > 0
+        return cls(boxes[there].astype(np.float64), scores[there].astype(np.float64), probs[there].astype(np.float64))
+
+
+class _Differences:
+    """Collects over images."""
+
+    def __init__(self) -> None:
+        self.inputs: set[tuple[int, ...]] = set()
+        self.images = self.detections = self.unmatched = self.candidates = self.both = self.all = 0
+        self.box_px = self.prob = self.detection_px = self.score = 0.0
+
+    def add(self, wanted: FloatArray, outputs: Sequence[FloatArray], info: ModelInfo, tolerance: Tolerance) -> None:
+        """One image: the network's rows and what the file yields."""
+        self.images += 1
+        self.candidates = max(self.candidates, int(np.count_nonzero(_scores(wanted) >= info.score_threshold)))
+        if info.head == "end2end":
+            theirs = _Lights.reported(*outputs)
+        else:
+            if info.head == "raw":
+                (got,) = outputs
+            else:  # the plug-in sees scores: rows whose objectness is 1
+                got = np.concatenate([outputs[0], np.ones_like(outputs[0][:, :1]), outputs[1]], axis=1)
+                wanted = np.concatenate(
+                    [wanted[:, :4], np.ones_like(wanted[:, :1]), wanted[:, 4:5] * wanted[:, 5:]], axis=1
+                )
+            difference = np.abs(got.astype(np.float32) - wanted)
+            self.box_px = np.maximum(self.box_px, difference[:, :4].max())  # np.maximum hands NaN on
+            self.prob = np.maximum(self.prob, difference[:, 4:].max())
+            theirs = _Lights.greedy(got, info)
+        self._add_lights(_Lights.greedy(wanted, info), theirs, info, tolerance)
+
+    def _add_lights(self, ours: _Lights, theirs: _Lights, info: ModelInfo, tolerance: Tolerance) -> None:
+        threshold = info.score_threshold
+        a, b = match_boxes(ours.boxes_xyxy, theirs.boxes_xyxy, iou_threshold=tolerance.match_iou)
+        self.both += 2 * len(a)
+        self.all += len(ours.scores) + len(theirs.scores)
+        self.detections += int(np.count_nonzero(ours.scores >= threshold))
+        # What is about as good as the threshold, or as the last of a full list, may be on one side only.
+        full = [lights.scores[-1] for lights in (ours, theirs) if len(lights.scores) == info.max_detections]
+        single = np.concatenate([np.delete(ours.scores, a), np.delete(theirs.scores, b)])
+        self.unmatched += int(np.count_nonzero(single > max([threshold, *full]) + tolerance.score))
+        shown = ours.scores[a] >= threshold
+        a, b = a[shown], b[shown]
+        moved = np.abs(ours.boxes_xyxy[a] - theirs.boxes_xyxy[b]).max(initial=0.0)
+        scores = np.abs(ours.scores[a] - theirs.scores[b]).max(initial=0.0)
+        probs = np.abs(ours.class_probs[a] - theirs.class_probs[b]).max(initial=0.0)
+        self.detection_px = np.maximum(self.detection_px, moved)
+        self.score = np.maximum(self.score, np.maximum(scores, probs))
+
+    def parity(self, info: ModelInfo) -> Parity:
+        """The result."""
+        has_rows = info.head != "end2end"
+        return Parity(
+            images=self.images,
+            inputs=tuple(sorted(self.inputs)),
+            box_px=float(self.box_px) if has_rows else None,
+            prob=float(self.prob) if has_rows else None,
+            detections=self.detections,
+            detection_px=float(self.detection_px),
+            score=float(self.score),
+            unmatched=self.unmatched,
+            agreement=self.both / self.all if self.all else 1.0,
+            candidates=self.candidates,
+        )
+
+
+def _scores(rows: FloatArray) -> FloatArray:
+    return np.asarray(rows[:, 4] * rows[:, 5:].max(axis=1))
+
+
+def _session(path: Path, info: ModelInfo) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    source = str(path)
+    if info.head == "efficient-nms":
+        source = without_plugin(onnx.load(path)).SerializeToString()
+    return onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
+
+
+def _batches(info: ModelInfo, images: Sequence[ImageArray]) -> Iterator[FloatArray]:
+    """(B, 3, H, W) inputs of all images, at each size, and in batches if the batch is free."""
+    sizes = [info.size_wh]
+    if info.dynamic_size:
+        sizes.append(_smaller(info.size_wh))
+    for size_wh in sizes:
+        blobs = np.stack([_blob(image, size_wh) for image in (*_random_images(size_wh), *images)])
+        yield from (blob[None] for blob in blobs)
+        if info.dynamic_batch:
+            yield blobs[[0, 1, -1]]
+
+
+def _smaller(size_wh: tuple[int, int]) -> tuple[int, int]:
+    """Another size of another shape: about two thirds and four fifths of the sides."""
+    width, height = (
+        max(round(side * share / MAX_STRIDE), 3) * MAX_STRIDE for side, share in zip(size_wh, (0.65, 0.8), strict=True)
+    )
+    return width, height
+
+
+def _blob(image: ImageArray, size_wh: tuple[int, int]) -> FloatArray:
+    blob = np.empty((3, size_wh[1], size_wh[0]), dtype=np.float32)
+    InputBuffer(size_wh).fill(image, blob)
+    return blob
+
+
+def _random_images(size_wh: tuple[int, int]) -> list[ImageArray]:
+    """Noise, and the same noise as soft blobs: fine and coarse structure, both always the same."""
+    width, height = size_wh
+    noise = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    blobs = cv2.resize(noise[: height // 16, : width // 16], size_wh, interpolation=cv2.INTER_CUBIC)
+    return [noise, np.asarray(blobs, dtype=np.uint8)]

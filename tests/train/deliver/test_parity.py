@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from autolights.core import ModelInfo
+from autolights.core.errors import ParityError
+from autolights.train.deliver.parity import TOLERANCES, Parity, _Differences
+
+FINE = {
+    "images": 2,
+    "inputs": ((1, 3, 64, 96),),
+    "box_px": 0.001,
+    "prob": 1e-5,
+    "detections": 3,
+    "detection_px": 0.001,
+    "score": 1e-6,
+    "unmatched": 0,
+    "agreement": 1.0,
+    "candidates": 9,
+}
+
+
+@pytest.mark.parametrize(
+    ("difference", "text"),
+    [
+        pytest.param({"box_px": 0.06}, r"in box_px 0.06 \(allowed: 0.05\)", id="box"),
+        pytest.param({"detection_px": 0.02}, "detection_px", id="detection"),
+        pytest.param({"prob": 2e-4}, "prob", id="probability"),
+        pytest.param({"score": 2e-4}, "score", id="score"),
+        pytest.param({"prob": float("nan")}, "prob nan", id="nan"),
+        pytest.param({"detection_px": float("nan")}, "detection_px nan", id="nan-detection"),
+        pytest.param({"box_px": float("nan")}, "box_px nan", id="nan-box"),
+        pytest.param({"score": float("nan")}, "score nan", id="nan-score"),
+        pytest.param({"unmatched": 1}, r"unmatched 1 \(allowed: 0\)", id="a-light-more"),
+        pytest.param({"agreement": 0.4}, r"agreement 0.4 \(at least: 0.5\)", id="other-lights"),
+        pytest.param(
+            {"box_px": None, "unmatched": 1, "candidates": 900},
+            "900 rows of an image are above the score threshold, of which the graph looks at 512",
+            id="crowd",
+        ),
+    ],
+)
+def test_each_figure_can_fail_the_gate(difference, text):
+    Parity(**FINE).check(TOLERANCES["fp32"])
+
+    with pytest.raises(ParityError, match=text):
+        Parity(**{**FINE, **difference}).check(TOLERANCES["fp32"])
+
+
+def rows(*boxes_and_scores):
+    """(x, y, side, score) each → rows of two classes."""
+    return np.array([[x, y, side, side, score, 0.1, 1.0] for x, y, side, score in boxes_and_scores], dtype=np.float32)
+
+
+def compared(wanted, got):
+    found = _Differences()
+    info = ModelInfo(classes=("a", "b"), size_wh=(96, 64), opset=17)
+    found.add(wanted, [got], info, TOLERANCES["fp32"])
+    return found.parity(info)
+
+
+def test_figures_by_hand():
+    wanted = rows((20, 20, 10, 0.9), (21, 20, 10, 0.8), (60, 20, 10, 0.5), (80, 40, 10, 0.1))
+    got = rows((20.5, 20, 10, 0.9), (21, 20, 10, 0.8), (60, 20, 10, 0.47), (80, 40, 10, 0.1))
+
+    parity = compared(wanted, got)
+
+    assert parity.box_px == 0.5
+    assert parity.prob == pytest.approx(0.03)
+    assert (parity.detections, parity.unmatched, parity.agreement) == (2, 0, 1.0)
+    assert parity.detection_px == 0.5
+    assert parity.score == pytest.approx(0.03)
+    assert parity.candidates == 3
+
+
+def test_a_light_that_one_alone_sees_counts_unless_it_is_at_the_threshold():
+    seen = rows((20, 20, 10, 0.9), (60, 20, 10, 0.4))
+    unseen = rows((20, 20, 10, 0.9), (60, 40, 10, 0.1))
+
+    assert compared(seen, unseen).unmatched == 1
+    assert compared(unseen, seen).unmatched == 1
+    assert compared(seen, unseen).agreement == 0.5
+    assert compared(rows((60, 20, 10, 0.25005)), rows((60, 40, 10, 0.24995))).unmatched == 0
