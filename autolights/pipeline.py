@@ -33,8 +33,13 @@ from autolights.core.errors import MapError, PoseError, UsageError
 from autolights.core.estimates import Variant
 from autolights.infer import Detector
 from autolights.track import (
+    Alignment,
+    AlignmentConfig,
+    CameraAlignment,
+    CameraHealth,
     CameraObservation,
     MemorylessLights,
+    ProjectedLights,
     TrackConfig,
     TrackManager,
     associate,
@@ -44,6 +49,7 @@ from autolights.track import (
     localize_boxes,
     may_be_new,
     project_lights,
+    type_fits,
 )
 
 NO_POSE, LATE = "no pose", "earlier than the set before"
@@ -63,6 +69,8 @@ class PipelineConfig(Config):
         max_distance_heights: The same in heights of the projected box; null for no such limit.
         misread_distance_heights: A detection that nobody matched, but whose centre is this close to a known light, is
             that light misread, not a new one; 0 lets it start a track.
+        alignment: What is known of the errors of calibration, pose and map; of it come the common
+            shift of each camera's lights and the gate around each. null takes all as they are (the paper).
         track: Birth, death and memory.
     """
 
@@ -72,6 +80,7 @@ class PipelineConfig(Config):
     max_distance_px: float = Field(default=80.0, gt=0)
     max_distance_heights: float | None = Field(default=1.0, gt=0)
     misread_distance_heights: float = Field(default=0.75, ge=0)
+    alignment: AlignmentConfig | None = AlignmentConfig()
     track: TrackConfig = TrackConfig()
 
 
@@ -142,6 +151,10 @@ class LightPipeline:
         self._cameras = dict(cameras)
         self._lights = lights
         self._poses = PoseBuffer(history_s=_POSE_HISTORY_S) if poses is None else poses
+        alignment = self.config.alignment
+        self._alignments = (
+            {name: CameraAlignment(camera, alignment) for name, camera in self._cameras.items()} if alignment else {}
+        )
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
         self._memoryless = MemorylessLights(lights, signals)
         self._class_types = np.array([signals.type_of[name] for name in signals.classes])
@@ -212,6 +225,10 @@ class LightPipeline:
             return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]
         return self._tracks.update(observations, set_ns)
 
+    def health(self) -> dict[str, CameraHealth]:
+        """What each camera's images say of its calibration; empty without `alignment`."""
+        return {name: alignment.health() for name, alignment in self._alignments.items()}
+
     def explain(self) -> dict[str, Any]:
         """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs and beliefs."""
         observations, light_names = self._behind
@@ -256,12 +273,18 @@ class LightPipeline:
         if len(self._tracks.unmapped):
             unmapped = project_lights(self._tracks.unmapped, camera, pose)
             projected = join_projected(projected, unmapped, row_offset=len(self._lights))
+        alignment = self._align(camera, pose, projected, detections)
+        gates_px = None
+        if alignment is not None and config.alignment is not None:
+            projected = projected.shifted(alignment.shifts_px)
+            gates_px = config.alignment.gate * alignment.sigmas_px
         cost = association_cost(
             projected,
             detections,
             self._class_types,
             max_distance_px=config.max_distance_px,
             max_distance_heights=config.max_distance_heights,
+            gates_px=gates_px,
         )
         association = associate(cost, unmatched_cost=config.max_distance_px)
 
@@ -271,7 +294,10 @@ class LightPipeline:
         positions = np.full((len(detections), 3), np.nan)
         if not on_map.all():
             sizes_m = self._class_sizes_m[detections.class_ids[~on_map]]
-            positions[~on_map] = localize_boxes(detections.boxes_xyxy[~on_map], sizes_m, camera, pose)
+            boxes_xyxy = detections.boxes_xyxy[~on_map]
+            if alignment is not None:
+                boxes_xyxy = alignment.as_calibrated(boxes_xyxy, sizes_m[:, 1])
+            positions[~on_map] = localize_boxes(boxes_xyxy, sizes_m, camera, pose)
         left = association.unmatched_detections
         left = left[detections.scores[left] >= config.new_light_score_threshold]
         new = may_be_new(
@@ -283,3 +309,15 @@ class LightPipeline:
             misread_distance_heights=config.misread_distance_heights,
         )
         return CameraObservation(camera, pose, detections, projected, cost, association, positions, left[new])
+
+    def _align(
+        self, camera: CameraModel, pose: Pose, projected: ProjectedLights, detections: Detections
+    ) -> Alignment | None:
+        """The common error of an image; only lights of the map speak for it, the others were placed by it."""
+        if camera.name not in self._alignments:
+            return None
+        fits = type_fits(projected, detections, self._class_types)
+        fits[projected.indices >= len(self._lights)] = False
+        return self._alignments[camera.name].align(
+            projected.boxes_xyxy, projected.distances_m, detections.boxes_xyxy, fits, pose.stamp_ns
+        )

@@ -107,6 +107,14 @@ def project_points(points_cam: FloatArray, camera: CameraModel) -> FloatArray:
     return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=-1)
 
 
+def normalized_points(pixels: FloatArray, camera: CameraModel) -> FloatArray:
+    """(n, 2) pixels → (n, 2) x / z and y / z as the lens has bent them: K taken off, distortion left in."""
+    k = camera.intrinsics
+    y = (pixels[:, 1] - k[1, 2]) / k[1, 1]
+    x = (pixels[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    return np.stack([x, y], axis=1)
+
+
 def back_project(pixels: FloatArray, camera: CameraModel) -> FloatArray:
     """Turn pixels into rays: the inverse of `project_points` up to depth.
 
@@ -117,11 +125,8 @@ def back_project(pixels: FloatArray, camera: CameraModel) -> FloatArray:
     Returns:
         (n, 3) rays (x, y, 1) in the camera frame; multiply by the depth in metres to get the point.
     """
-    k = camera.intrinsics
-    u, v = np.asarray(pixels, dtype=np.float64).reshape(-1, 2).T
-    y = (v - k[1, 2]) / k[1, 1]
-    x = (u - k[0, 2] - k[0, 1] * y) / k[0, 0]
-    rays = np.stack([x, y, np.ones_like(x)], axis=1)
+    points = normalized_points(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), camera)
+    rays = np.concatenate([points, np.ones((len(points), 1))], axis=1)
     if len(rays) and len(camera.distortion):
         # K is taken off above because OpenCV leaves its skew aside.
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)

@@ -1,6 +1,12 @@
 """From boxes in images to lights in the world: projection, association, localisation, tracks, states, flashing."""
 
-from autolights.track.association import Association, associate, association_cost
+from autolights.track.alignment import (
+    Alignment,
+    AlignmentConfig,
+    CameraAlignment,
+    CameraHealth,
+)
+from autolights.track.association import Association, associate, association_cost, type_fits
 from autolights.track.config import TrackConfig
 from autolights.track.flashing import FlashVerdict, flash_verdict
 from autolights.track.hmm_filter import hmm_predict, hmm_update, transition_over
@@ -12,7 +18,11 @@ from autolights.track.observation import CameraObservation, explain_observation
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
 
 __all__ = [
+    "Alignment",
+    "AlignmentConfig",
     "Association",
+    "CameraAlignment",
+    "CameraHealth",
     "CameraObservation",
     "FlashVerdict",
     "MemorylessLights",
@@ -32,4 +42,5 @@ __all__ = [
     "may_be_new",
     "project_lights",
     "transition_over",
+    "type_fits",
 ]

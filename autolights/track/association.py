@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from autolights.core import Detections, FloatArray, IntArray
+from autolights.core import BoolArray, Detections, FloatArray, IntArray
 from autolights.core.boxes import cxcywh_from_xyxy
 from autolights.track.projection import ANY_TYPE, NameArray, ProjectedLights
+
+# A detector boxes what it sees: with its lower half hidden, a head is half as high, and its centre a quarter higher.
+_HIDDEN_HEIGHTS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,7 @@ def association_cost(
     *,
     max_distance_px: float,
     max_distance_heights: float | None = None,
+    gates_px: FloatArray | None = None,
 ) -> FloatArray:
     """Cost of calling detection j light i: c(i, j) = ‖(cx, cy, h, w)_i − (cx, cy, h, w)_j‖₂.
 
@@ -42,6 +46,8 @@ def association_cost(
         max_distance_px: A pair that is farther apart is forbidden.
         max_distance_heights: So is one farther apart than this many heights of the projected box. The neighbouring
             head is as many heights away at any range, but not as many pixels. None leaves the limit out (the paper).
+        gates_px: (n,) how far from each light its detection can be at all by the errors of map, pose, calibration and
+            box. What one of them hides of the box may add `_HIDDEN_HEIGHTS`. None leaves the limit out (the paper).
 
     Returns:
         (n, m) pixels; +inf forbids a pair: too far apart, or of different types.
@@ -52,9 +58,15 @@ def association_cost(
     limit_px = np.full((len(known), 1), max_distance_px)
     if max_distance_heights is not None:
         limit_px = np.minimum(limit_px, max_distance_heights * known[:, 3:])
+    if gates_px is not None:
+        limit_px = np.minimum(limit_px, gates_px[:, None] + _HIDDEN_HEIGHTS * known[:, 3:])
+    return np.where(type_fits(projected, detections, class_types) & (distance_px <= limit_px), distance_px, np.inf)
+
+
+def type_fits(projected: ProjectedLights, detections: Detections, class_types: NameArray) -> BoolArray:
+    """(n, m) whether light and detection can be the same by their types; `class_types` (C,) of each class."""
     types = projected.types[:, None]
-    type_fits = (types == class_types[detections.class_ids][None, :]) | (types == ANY_TYPE)
-    return np.where(type_fits & (distance_px <= limit_px), distance_px, np.inf)
+    return np.asarray((types == class_types[detections.class_ids][None, :]) | (types == ANY_TYPE))
 
 
 def associate(cost: FloatArray, *, unmatched_cost: float) -> Association:

@@ -1,6 +1,6 @@
 """Where a camera should see the lights that are known: map light + pose → image box (Wu et al. 2023, Sec. III-B)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -23,6 +23,7 @@ class ProjectedLights:
         indices: (n,) rows of the lights that were projected.
         types: (n,) names of types; `ANY_TYPE` matches all.
         boxes_xyxy: (n, 4) pixels, edge coordinates; they may leave the image.
+        distances_m: (n,) from the vehicle.
         expected: (n,) whether the whole box lies in the image and the light in the camera's range: only then it counts
             as missed when it is not detected.
     """
@@ -30,10 +31,15 @@ class ProjectedLights:
     indices: IntArray
     types: NameArray
     boxes_xyxy: FloatArray
+    distances_m: FloatArray
     expected: BoolArray
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    def shifted(self, shifts_px: FloatArray) -> "ProjectedLights":
+        """The same lights (n, 2) pixels farther right and down."""
+        return replace(self, boxes_xyxy=self.boxes_xyxy + np.tile(shifts_px, 2))
 
 
 def project_lights(lights: TrafficLightMap, camera: CameraModel, pose: Pose) -> ProjectedLights:
@@ -51,6 +57,7 @@ def project_lights(lights: TrafficLightMap, camera: CameraModel, pose: Pose) -> 
         indices=indices,
         types=np.array([lights.types[i] for i in indices], dtype=np.str_),
         boxes_xyxy=boxes_xyxy,
+        distances_m=distances_m,
         expected=contained & (distances_m <= camera.max_range_m),
     )
 
@@ -61,5 +68,6 @@ def join_projected(first: ProjectedLights, second: ProjectedLights, *, row_offse
         indices=np.concatenate([first.indices, second.indices + row_offset]),
         types=np.concatenate([first.types, second.types]),
         boxes_xyxy=np.concatenate([first.boxes_xyxy, second.boxes_xyxy]),
+        distances_m=np.concatenate([first.distances_m, second.distances_m]),
         expected=np.concatenate([first.expected, second.expected]),
     )

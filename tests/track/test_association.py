@@ -57,7 +57,9 @@ def test_price_of_leaving_both(cost: list[list[float]], matches: list[list[int]]
 
 def lights(boxes: list[list[float]], types: list[str]) -> ProjectedLights:
     n = len(boxes)
-    return ProjectedLights(np.arange(n), np.array(types, dtype=np.str_), np.reshape(boxes, (n, 4)), np.ones(n, bool))
+    return ProjectedLights(
+        np.arange(n), np.array(types, dtype=np.str_), np.reshape(boxes, (n, 4)), np.full(n, 30.0), np.ones(n, bool)
+    )
 
 
 def seen(boxes: list[list[float]], class_ids: list[int]) -> Detections:
