@@ -1,10 +1,11 @@
 """`autolights detect`: a bundle's detector over images, videos and cameras, without map, poses or tracking."""
 
+import errno
 import signal
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 import cv2
 
-from autolights.core import Bundle
+from autolights.core import Bundle, ImageArray
 from autolights.core.atomic import new_folder
 from autolights.core.errors import UsageError
 from autolights.core.progress import say, track
@@ -21,6 +22,7 @@ from autolights.infer import Detector, ImageSources, draw_detections
 from autolights.infer.sources import SourceImage
 
 PICTURES = "pictures"
+_JPEG_QUALITY = 90  # a third smaller than at 95, and small lights stay clean
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,9 @@ class DetectSummary:
         images: Looked at, frames of videos and cameras included.
         detections: Lights found in them.
         skipped: Files of which nothing decoded.
-        bad_frames: Frames of videos and cameras that did not decode.
+        bad_frames: Frames of videos, and gaps of a camera, that did not decode.
+        missing_frames: Frames that the headers of videos promise beyond those that came.
+        lost_camera: The camera fell silent before it was stopped.
         images_per_s: From decoded image to boxes; 0 if there were none.
     """
 
@@ -39,6 +43,8 @@ class DetectSummary:
     detections: int
     skipped: int
     bad_frames: int
+    missing_frames: int
+    lost_camera: bool
     images_per_s: float
 
     def to_json(self) -> dict[str, Any]:
@@ -67,8 +73,8 @@ def detect_files(
     Args:
         bundle_dir: A bundle.
         inputs: See `ImageSources`.
-        out_dir: Appears whole or not at all. With a camera, Ctrl-C is the ordinary end and what was seen until then is
-            kept.
+        out_dir: Appears whole or not at all. With a camera, Ctrl-C or SIGTERM is the ordinary end and what was seen
+            until then is kept; so it is when the camera is lost.
         formats: ``jsonl``, ``yolo``, ``coco``.
         score_threshold: Instead of the bundle's.
         scores: Add scores to YOLO labels.
@@ -82,11 +88,11 @@ def detect_files(
         BundleError: If the bundle is incomplete or altered.
     """
     bundle = Bundle.load(bundle_dir)
-    sources = ImageSources(inputs)
+    sources = ImageSources(inputs, cameras=True)
     detector = Detector.from_bundle(bundle, score_threshold=score_threshold, threads=threads)
     images = found = 0
     spent_s = 0.0
-    with new_folder(out_dir, force=force) as folder:
+    with _signals_stop(sources) if sources.live else nullcontext(), new_folder(out_dir, force=force) as folder:
         with ExitStack() as stack:
             writers = [
                 stack.enter_context(open_writer(kind, folder, detector.classes, scores=scores))
@@ -103,39 +109,60 @@ def detect_files(
                 images += 1
                 found += len(detections)
                 if pictures:
-                    path = folder / PICTURES / f"{source.picture_name}.jpg"
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    cv2.imwrite(str(path), draw_detections(source.image_bgr, detections, bundle.signals))
+                    picture = draw_detections(source.image_bgr, detections, bundle.signals)
+                    _write_picture(folder / PICTURES / f"{source.picture_name}.jpg", picture)
         _tell_what_failed(sources)
         if not images:
-            raise UsageError(f"none of the {len(sources.paths)} inputs gave an image, the first: {sources.skipped[0]}")
+            raise UsageError(f"none of the {len(sources.paths)} inputs gave an image, the first: {sources.paths[0]}")
     return DetectSummary(
         images=images,
         detections=found,
         skipped=len(sources.skipped),
         bad_frames=sources.bad_frames.total(),
+        missing_frames=sources.missing_frames.total(),
+        lost_camera=bool(sources.lost),
         images_per_s=round(images / spent_s, 2),
     )
 
 
 def _shown(sources: ImageSources, max_images: int | None) -> Iterator[SourceImage]:
-    """The images with progress. With a camera Ctrl-C does not interrupt: the image at hand is the last one."""
+    """The images with progress."""
     total = sources.expected_images
     if max_images is not None:
         total = max_images if total is None else min(total, max_images)
     images: Iterable[SourceImage] = islice(sources, max_images)
-    if not sources.live:
-        yield from track(images, description="detect", total=total, unit="images")
+    description = "detect (Ctrl-C ends it)" if sources.live else "detect"
+    return track(images, description=description, total=total, unit="images")
+
+
+@contextmanager
+def _signals_stop(sources: ImageSources) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end a camera in good order; a second one ends the program as usual."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may say what a signal does
+        yield
         return
-    stop = threading.Event()
-    earlier = signal.signal(signal.SIGINT, lambda *_: stop.set())
+    earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+
+    def stop(_number: int, _frame: object) -> None:
+        restore()
+        sources.stop()
+
+    for number in earlier:
+        signal.signal(number, stop)
     try:
-        for source in track(images, description="detect (Ctrl-C ends it)", total=total, unit="images"):
-            yield source
-            if stop.is_set():
-                return
+        yield
     finally:
-        signal.signal(signal.SIGINT, earlier)
+        restore()
+
+
+def _write_picture(path: Path, picture: ImageArray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]):
+        raise OSError(errno.EIO, "cannot be written; is the disk full?", str(path))
 
 
 def _tell_what_failed(sources: ImageSources) -> None:
@@ -144,3 +171,7 @@ def _tell_what_failed(sources: ImageSources) -> None:
     for path, count in sources.bad_frames.items():
         if path not in sources.skipped:
             say(f"warning: {path}: {count} frames do not decode, left out")
+    for path, count in sources.missing_frames.items():
+        say(f"warning: {path}: {count} frames that its header promises did not come")
+    for path in sources.lost:
+        say(f"warning: {path}: gives no frames any more")

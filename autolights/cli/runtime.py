@@ -1,6 +1,7 @@
 """The verbs of the runtime: run, detect, tune. Nothing here needs the training stack."""
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -79,7 +80,8 @@ def detect(
     """Detect lights in images, videos or what a camera sees.
 
     Writes detections.jsonl, labels/ (YOLO) or coco.json, and pictures with boxes, into --out. What does not decode is
-    named, counted and passed over. A camera runs until Ctrl-C, and what was seen until then is kept.
+    named, counted and passed over. A camera runs until Ctrl-C, and what was seen until then is kept; exit code 1 if it
+    falls silent before.
 
     \b
     Example: autolights detect bundle photos/*.jpg --out runs/detect
@@ -96,6 +98,8 @@ def detect(
     for name in formats or ():
         if name not in known:
             raise UsageError(f"--format must be one of {', '.join(known)}, got {name!r}")
+    # A damaged video makes FFmpeg print a line for each block, hundreds a frame; what failed is counted and named here.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     summary = detect_files(
         bundle,
         inputs,
@@ -110,11 +114,13 @@ def detect(
     )
     if as_json:
         typer.echo(json.dumps(summary.to_json()))
-        return
-    typer.echo(
-        f"{out}: {summary.detections} lights in {summary.images} images, {summary.images_per_s:.1f} images/s; "
-        f"skipped {summary.skipped} files and {summary.bad_frames} frames"
-    )
+    else:
+        typer.echo(
+            f"{out}: {summary.detections} lights in {summary.images} images, {summary.images_per_s:.1f} images/s; "
+            f"skipped {summary.skipped} files and {summary.bad_frames + summary.missing_frames} frames"
+        )
+    if summary.lost_camera:  # whoever waits for this program did not end it
+        raise typer.Exit(1)
 
 
 def tune(

@@ -1,5 +1,6 @@
 """Frames of a video file or of a camera, going on over those that do not decode."""
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,8 +10,11 @@ import numpy as np
 
 from autolights.core import ImageArray
 
-_GIVE_UP_AFTER = 30  # failures in a row; the decoder of a damaged file may find its way again sooner
-_CAMERA_PATIENCE_S = 3.0
+# Failures in a row: a decoder that lost its way goes on at the next key frame, which may be hundreds of frames away.
+# Behind the end of a file so many attempts take 30 ms.
+_GIVE_UP_AFTER = 1000
+_CAMERA_PATIENCE_S = 10.0
+_CAMERA_REOPEN_AFTER_S = 1.0  # one that was unplugged comes back as another device
 _CAMERA_PAUSE_S = 0.02
 
 
@@ -41,21 +45,35 @@ def video_frames(path: Path) -> Iterator[ImageArray | None]:
         video.release()
 
 
-def camera_frames(index: int) -> Iterator[ImageArray | None]:
-    """Frames of a camera for as long as it gives any; None for one that fails.
+def camera_frames(index: int, stop: threading.Event) -> Iterator[ImageArray | None]:
+    """Frames of a camera until it is told to stop; None for a gap, however long, that a later frame ends.
 
-    It ends when the camera has given nothing for three seconds.
+    A camera that falls silent is opened again. When it has given nothing for ten seconds, or cannot be opened to begin
+    with, the frames end although `stop` is not set.
     """
     video = cv2.VideoCapture(index)
     try:
-        last = time.monotonic()
-        while time.monotonic() - last < _CAMERA_PATIENCE_S and video.isOpened():
+        if not video.isOpened():
+            return
+        heard = opened = time.monotonic()
+        gap = False
+        while not stop.is_set():
             image = _next(video)
-            if image is None:
-                time.sleep(_CAMERA_PAUSE_S)
-            else:
-                last = time.monotonic()
-            yield image
+            now = time.monotonic()
+            if image is not None:
+                if gap:
+                    yield None
+                yield image
+                heard, gap = time.monotonic(), False  # the time that the caller took is not the camera's
+                continue
+            gap = True
+            if now - heard > _CAMERA_PATIENCE_S:
+                return
+            if now - max(heard, opened) > _CAMERA_REOPEN_AFTER_S:
+                video.release()
+                video.open(index)
+                opened = time.monotonic()
+            time.sleep(_CAMERA_PAUSE_S)
     finally:
         video.release()
 

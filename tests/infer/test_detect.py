@@ -1,5 +1,9 @@
 import json
 import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 
 import cv2
@@ -126,24 +130,132 @@ def test_coco_of_nothing_found(bundle_dir, photos, tmp_path):
     assert (values["annotations"], len(values["images"])) == ([], 2)
 
 
-def test_ctrl_c_ends_a_camera_and_keeps_what_was_seen(bundle_dir, tmp_path, monkeypatch):
-    def endless(_):
-        for i in count():
-            if i == 3:
-                signal.raise_signal(signal.SIGINT)
-            yield np.zeros((32, 64, 3), dtype=np.uint8)
+def black(monkeypatch, at=3, raises=None, length=None):
+    """A camera that gives black images, endlessly unless a length is given, and in the middle raises a signal."""
 
-    monkeypatch.setattr(sources, "camera_frames", endless)
-    handler = signal.getsignal(signal.SIGINT)
+    def frames(_index, stop):
+        for i in range(length) if length is not None else count():
+            if i == at and raises is not None:
+                signal.raise_signal(raises)
+            yield np.zeros((32, 64, 3), dtype=np.uint8)
+            if stop.is_set():
+                return
+
+    monkeypatch.setattr(sources, "camera_frames", frames)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_camera_and_what_was_seen_is_kept(bundle_dir, tmp_path, monkeypatch, number):
+    black(monkeypatch, raises=number)
+    handler = signal.getsignal(number)
 
     summary = detect_files(bundle_dir, ["camera:0"], tmp_path / "out", pictures=False)
 
     assert (summary.images, len((tmp_path / "out/detections.jsonl").read_text().splitlines())) == (4, 4)
-    assert signal.getsignal(signal.SIGINT) is handler
+    assert not summary.lost_camera
+    assert signal.getsignal(number) is handler
+
+
+def test_a_second_ctrl_c_ends_a_camera_at_once(bundle_dir, tmp_path, monkeypatch):
+    def stubborn(_index, _stop):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        yield np.zeros((32, 64, 3), dtype=np.uint8)
+
+    monkeypatch.setattr(sources, "camera_frames", stubborn)
+
+    with pytest.raises(KeyboardInterrupt):
+        detect_files(bundle_dir, ["camera:0"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_a_lost_camera_saw_is_kept(bundle_dir, tmp_path, monkeypatch, capsys):
+    black(monkeypatch, length=2)
+
+    summary = detect_files(bundle_dir, ["camera:0"], tmp_path / "out", pictures=False)
+
+    assert (summary.images, summary.lost_camera) == (2, True)
+    assert "camera:0: gives no frames any more" in capsys.readouterr().err
+
+
+def test_a_camera_outside_of_the_main_thread(bundle_dir, tmp_path, monkeypatch):
+    black(monkeypatch)
+    with ThreadPoolExecutor(1) as pool:
+        summary = pool.submit(detect_files, bundle_dir, ["camera:0"], tmp_path / "out", max_images=2).result()
+
+    assert (summary.images, summary.lost_camera) == (2, False)
+
+
+def test_a_picture_that_cannot_be_written_is_an_error(bundle_dir, photos, tmp_path, monkeypatch):
+    real = cv2.imwrite
+    monkeypatch.setattr(cv2, "imwrite", lambda path, *rest: "b.jpg" not in path and real(path, *rest))
+
+    with pytest.raises(OSError, match=r"is the disk full\?: '.*b\.jpg'"):
+        detect_files(bundle_dir, [photos], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+_WITH_CAMERA = """
+import time
+import cv2, numpy as np
+
+class Camera:
+    def __init__(self, index): self.left = FRAMES
+    def isOpened(self): return True
+    def open(self, index): pass
+    def release(self): pass
+    def read(self):
+        self.left -= 1
+        time.sleep(0.02)
+        return (True, np.zeros((32, 64, 3), np.uint8)) if self.left >= 0 else (False, None)
+
+cv2.VideoCapture = Camera
+from autolights.infer import videos
+videos._CAMERA_PATIENCE_S = 0.2
+from autolights.cli import main
+main()
+"""
+
+
+def detect_camera(bundle_dir, out, frames):
+    arguments = ["detect", bundle_dir, "camera:0", "--out", out, "--format", "coco", "--json", "--threads", 1]
+    return subprocess.Popen(
+        [sys.executable, "-c", f"FRAMES = {frames}\n{_WITH_CAMERA}", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_program_with_a_camera_ends_well_when_stopped(bundle_dir, tmp_path, number):
+    with detect_camera(bundle_dir, tmp_path / "out", 1_000_000) as process:
+        deadline = time.monotonic() + 60
+        while len(list(tmp_path.glob(".out.*.tmp/pictures/*/*"))) < 5 and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(number)
+        printed, errors = process.communicate(timeout=60)
+
+    assert process.returncode == 0, errors
+    summary = json.loads(printed)
+    assert len(COCO(str(tmp_path / "out/coco.json")).imgs) == summary["images"] >= 5
+    assert len(list((tmp_path / "out/pictures/camera0").iterdir())) == summary["images"]
+    assert [path.name for path in tmp_path.glob(".out*")] == []
+
+
+def test_program_tells_by_its_exit_code_that_the_camera_was_lost(bundle_dir, tmp_path):
+    with detect_camera(bundle_dir, tmp_path / "out", 3) as process:
+        printed, errors = process.communicate(timeout=60)
+
+    assert process.returncode == 1
+    assert json.loads(printed)["images"] == 3
+    assert "gives no frames any more" in errors
+    assert "Traceback" not in errors
 
 
 def test_ctrl_c_in_the_middle_of_files_leaves_nothing(bundle_dir, photos, tmp_path, monkeypatch):
-    monkeypatch.setattr(sources.cv2, "imread", lambda *_: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(sources.cv2, "imdecode", lambda *_: signal.raise_signal(signal.SIGINT))
 
     with pytest.raises(KeyboardInterrupt):
         detect_files(bundle_dir, [photos], tmp_path / "out")
