@@ -1,8 +1,10 @@
+import cv2
 import numpy as np
 import pytest
 
 from autolights.core import Detections, load_signals
-from autolights.infer.draw import COLORS_BGR, DARK_BGR, draw_detections, state_color
+from autolights.core.boxes import iou_matrix
+from autolights.infer.draw import COLORS_BGR, DARK_BGR, _draw_leader, draw_detections, state_color
 
 SIGNALS = load_signals()
 
@@ -66,6 +68,42 @@ def test_texts_of_neighbours_cover_neither_lights_nor_each_other():
     single = (draw_detections(street(), detections(boxes[0]), SIGNALS) != 90).any(axis=2).sum()
     together = (draw_detections(street(), detections(*boxes), SIGNALS) != 90).any(axis=2).sum()
     assert together > 2.9 * single
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_texts_of_a_crowd_of_far_lights_keep_clear(monkeypatch, seed):
+    rng = np.random.default_rng(seed)
+    corners = np.array([(600 + 30 * column, 300 + 40 * row) for row in range(3) for column in range(5)])
+    corners = corners + rng.integers(0, 8, corners.shape)
+    boxes = np.concatenate([corners, corners + np.array([8, 20])], axis=1)
+    plates = []
+    rectangle = cv2.rectangle
+
+    def recorded(picture, start, end, color, thickness):
+        if thickness == cv2.FILLED:
+            plates.append((*start, *end))
+        return rectangle(picture, start, end, color, thickness)
+
+    monkeypatch.setattr(cv2, "rectangle", recorded)
+    image = rng.integers(0, 255, (800, 1280, 3), dtype=np.uint8)
+
+    picture = draw_detections(image, detections(*boxes.tolist()), SIGNALS)
+
+    for left, top, right, bottom in boxes:
+        np.testing.assert_array_equal(picture[top:bottom, left:right], image[top:bottom, left:right])
+    everything = np.array([*boxes, *plates], dtype=float)
+    assert len(plates) == 15
+    assert np.count_nonzero(np.triu(iou_matrix(everything, everything), 1)) == 0
+
+
+def test_a_line_leads_to_a_text_that_is_far_from_its_light_only():
+    box = np.array([600.0, 200, 620, 260])
+
+    for top, drawn in ((174.0, False), (100.0, True)):
+        picture = street()
+        _draw_leader(picture, box, np.array([596.0, top, 680, top + 22]), COLORS_BGR["red"], 1)
+        assert (picture != 90).any() == drawn
+        np.testing.assert_array_equal(picture[203:], 90)  # it ends at the light
 
 
 def test_nothing_to_draw():
