@@ -1,5 +1,6 @@
 """The program: its verbs in the order of the work, and how errors end it."""
 
+import errno
 import signal
 import sys
 from collections.abc import Callable
@@ -88,9 +89,10 @@ def main() -> None:
             raise
         _fail(f"this verb needs the package '{error.name}'; install it with: pip install 'autolights[train]'", 2)
     except OSError as error:
-        if error.filename is None:
+        # A disk that fills while text is written tells the reason, but not the file.
+        if error.filename is None and error.errno != errno.ENOSPC:
             raise
-        _fail(f"{error.filename}: {error.strerror}", 1)
+        _fail(": ".join(str(part) for part in (error.filename, error.strerror) if part), 1)
 
 
 def _fail(text: str, exit_code: int) -> NoReturn:

@@ -1,5 +1,6 @@
 """Help, version, and misuse: what a user reads before anything works."""
 
+import errno
 import subprocess
 import sys
 import time
@@ -7,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from autolights.cli import app as program_module
 
 Program = Callable[..., subprocess.CompletedProcess[str]]
 VERBS = (
@@ -104,3 +107,14 @@ def test_a_terminated_program_leaves_nothing_half_written(tmp_path: Path) -> Non
         process.terminate()
         assert process.wait(timeout=60) == 143
     assert not list(tmp_path.iterdir())
+
+
+def test_full_disk_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fill_the_disk() -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(program_module, "app", fill_the_disk)
+
+    with pytest.raises(SystemExit, match="1"):
+        program_module.main()
+    assert capsys.readouterr().err == "error: No space left on device\n"
