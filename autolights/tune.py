@@ -16,7 +16,7 @@ from autolights.core.errors import AutolightsError
 from autolights.core.progress import track
 from autolights.infer import Detector, Execution
 from autolights.infer.execution import open_session, openvino_is_installed, usable_cpus
-from autolights.infer.session import CPU
+from autolights.infer.session import CPU, can_limit_spinning
 from autolights.infer.tuning import Measurement, Tuning, this_machine
 
 GPU_PROVIDERS = (
@@ -26,6 +26,9 @@ GPU_PROVIDERS = (
     "DmlExecutionProvider",
 )
 FINALISTS = 4
+SPIN_US = (
+    100  # about the time of a small operator; beside a busy neighbour it cost a fifth, unlimited spinning fourfold
+)
 # Differences below this are within the noise: then the candidate that comes first wins, with the fewest threads.
 WORTH_A_CHANGE = 0.97
 
@@ -109,6 +112,8 @@ def _candidates(images: int, bfloat16: bool) -> Iterator[Execution]:
     streams = [(threads, streams) for threads in thread_counts for streams in sorted({1, images}) if streams <= threads]
     for threads, count in streams:
         yield Execution(threads=threads, streams=count)
+        if threads > count == 1 and can_limit_spinning():
+            yield Execution(threads=threads, spin_us=SPIN_US)
     if openvino_is_installed():
         for rounded in (False, True) if bfloat16 else (False,):
             for threads, count in streams:

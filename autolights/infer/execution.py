@@ -19,6 +19,8 @@ class Execution(Config):
         providers: Of ONNX Runtime, in order of preference, by its own names; empty: the CPU.
         threads: All that detection may use on the CPU; null leaves the choice to the backend.
         streams: How many images of one `Detector.batch` are worked on at a time; they share the threads.
+        spin_us: How long an idle thread of ONNX Runtime looks for work before it sleeps, microseconds. A little is
+            faster on a quiet machine and slower beside other busy programs; see docs/inference.md.
         bfloat16: Let OpenVINO round to bfloat16 where the CPU is faster so; see `OpenVinoSession`.
     """
 
@@ -26,12 +28,13 @@ class Execution(Config):
     providers: tuple[str, ...] = ()
     threads: int | None = Field(default=None, ge=1)
     streams: int = Field(default=1, ge=1)
+    spin_us: int = Field(default=0, ge=0, le=1000)
     bfloat16: bool = False
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.backend != "onnxruntime" and self.providers:
-            raise ValueError(f"providers are of the backend 'onnxruntime', got {list(self.providers)}")
+        if self.backend != "onnxruntime" and (self.providers or self.spin_us):
+            raise ValueError("providers and spin_us are choices of the backend 'onnxruntime'")
         if self.backend != "openvino" and self.bfloat16:
             raise ValueError("bfloat16 is a choice of the backend 'openvino'")
         return self
@@ -51,6 +54,8 @@ class Execution(Config):
             words.append(f"{self.threads} thread{'s' * (self.threads > 1)}")
         if self.streams > 1:
             words.append(f"{self.streams} streams")
+        if self.spin_us:
+            words.append(f"spin {self.spin_us} us")
         return ", ".join(words)
 
 
@@ -70,4 +75,4 @@ def open_session(model_path: Path, info: ModelInfo, execution: Execution, *, thr
         from autolights.infer.openvino_session import OpenVinoSession
 
         return OpenVinoSession(model_path, info, threads=threads, bfloat16=execution.bfloat16)
-    return OnnxSession(model_path, info, providers=execution.providers, threads=threads)
+    return OnnxSession(model_path, info, providers=execution.providers, threads=threads, spin_us=execution.spin_us)

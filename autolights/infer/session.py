@@ -39,6 +39,11 @@ class Session(Protocol):
         ...
 
 
+def can_limit_spinning() -> bool:
+    """Whether this ONNX Runtime lets threads look for work for a limited time."""
+    return tuple(int(part) for part in onnxruntime.__version__.split(".")[:2]) >= (1, 26)
+
+
 class OnnxSession:
     """Run a model in ONNX Runtime.
 
@@ -47,6 +52,7 @@ class OnnxSession:
         info: What the model must look like.
         providers: ONNX Runtime's execution providers in order of preference; None: the CPU.
         threads: Within an operator; None leaves the choice to ONNX Runtime.
+        spin_us: How long an idle thread looks for work before it sleeps, microseconds.
         io_binding: Keep inputs and outputs in memory of the provider's device from call to call; None: on a GPU.
 
     Raises:
@@ -61,6 +67,7 @@ class OnnxSession:
         *,
         providers: Sequence[str] | None = None,
         threads: int | None = None,
+        spin_us: int = 0,
         io_binding: bool | None = None,
     ) -> None:
         if not model_path.is_file():
@@ -74,9 +81,13 @@ class OnnxSession:
                 )
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3  # errors only: its warnings are about its own optimiser
-        # Threads that wait actively lose to any busy neighbour: nano at 960 x 608 on 2 cores took 62 ms instead of 25
-        # beside one other process, and 18 instead of 20 alone.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        # By default threads look for work for milliseconds, and lose to any busy neighbour: nano at 960 x 608 on 2
+        # cores took 62 ms instead of 25 beside one other process, and 18 instead of 20 alone.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "1" if spin_us else "0")
+        if spin_us:
+            if not can_limit_spinning():
+                raise UsageError(f"spin_us needs ONNX Runtime 1.26 or newer, this is {onnxruntime.__version__}")
+            options.add_session_config_entry("session.intra_op.spin_duration_us", str(spin_us))
         if threads is not None:
             options.intra_op_num_threads = threads
         try:

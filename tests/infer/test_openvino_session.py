@@ -100,7 +100,10 @@ def test_without_the_package(constant_model, monkeypatch):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"backend": "openvino", "providers": ["CUDAExecutionProvider"]}, "providers are of the backend 'onnxruntime'"),
+        (
+            {"backend": "openvino", "providers": ["CUDAExecutionProvider"]},
+            "providers and spin_us are choices of the backend",
+        ),
         ({"bfloat16": True}, "bfloat16 is a choice of the backend 'openvino'"),
     ],
 )

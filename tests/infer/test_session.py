@@ -96,3 +96,12 @@ def test_model_that_is_not_as_described(spot_model, form, described_as, message)
 
     with pytest.raises(DataError, match=message):
         OnnxSession(path, info.model_copy(update=described_as))
+
+
+def test_spinning_is_never_unlimited(constant_model, monkeypatch):
+    (raw,) = OnnxSession(*constant_model([ROW]), threads=2, spin_us=50).run(np.zeros((1, 3, 32, 64), dtype=np.float32))
+    np.testing.assert_allclose(raw, [[ROW]], rtol=1e-6)
+
+    monkeypatch.setattr(onnxruntime, "__version__", "1.22.0")  # does not know the limit
+    with pytest.raises(UsageError, match=r"spin_us needs ONNX Runtime 1\.26 or newer, this is 1\.22\.0"):
+        OnnxSession(*constant_model([ROW]), threads=2, spin_us=50)
