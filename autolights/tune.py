@@ -26,9 +26,8 @@ GPU_PROVIDERS = (
     "DmlExecutionProvider",
 )
 FINALISTS = 4
-SPIN_US = (
-    100  # about the time of a small operator; beside a busy neighbour it cost a fifth, unlimited spinning fourfold
-)
+# About the time of a small operator: beside busy neighbours it cost a fifth, spinning without limit fourfold.
+SPIN_US = 100
 # Differences below this are within the noise: then the candidate that comes first wins, with the fewest threads.
 WORTH_A_CHANGE = 0.97
 
