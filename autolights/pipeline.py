@@ -9,7 +9,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import numpy as np
 from pydantic import Field
@@ -31,7 +31,7 @@ from autolights.core import (
 from autolights.core.boxes import area
 from autolights.core.errors import MapError, PoseError, UsageError
 from autolights.core.estimates import Variant
-from autolights.infer import Detector
+from autolights.infer import Detector, Region
 from autolights.track import (
     Alignment,
     AlignmentConfig,
@@ -40,6 +40,7 @@ from autolights.track import (
     CameraObservation,
     MemorylessLights,
     ProjectedLights,
+    RegionConfig,
     TrackConfig,
     TrackManager,
     associate,
@@ -49,6 +50,7 @@ from autolights.track import (
     localize_boxes,
     may_be_new,
     project_lights,
+    region_of_interest,
     type_fits,
 )
 
@@ -72,6 +74,7 @@ class PipelineConfig(Config):
         alignment: What is known of the errors of calibration, pose and map; of it come the common
             shift of each camera's lights and the gate around each. null takes all as they are (the paper).
         track: Birth, death and memory.
+        regions: By camera, which part of its images the detector looks at; of cameras that are not named, all.
     """
 
     variant: Variant = "full"
@@ -82,6 +85,7 @@ class PipelineConfig(Config):
     misread_distance_heights: float = Field(default=0.75, ge=0)
     alignment: AlignmentConfig | None = AlignmentConfig()
     track: TrackConfig = TrackConfig()
+    regions: dict[str, RegionConfig] = Field(default_factory=dict)
 
 
 class ImageDetector(Protocol):
@@ -89,6 +93,14 @@ class ImageDetector(Protocol):
 
     def batch(self, images_bgr: Sequence[ImageArray]) -> list[Detections]:
         """Detections in each (H, W, 3) image, in pixels of that image; boxes without area are dropped."""
+        ...
+
+
+class RegionDetector(Protocol):
+    """A detector that can be told where to look."""
+
+    def batch(self, images_bgr: Sequence[ImageArray], regions: Sequence[Region | None]) -> list[Detections]:
+        """See `ImageDetector`; of each image the region in which lights can be, None for all of it."""
         ...
 
 
@@ -124,6 +136,7 @@ class LightPipeline:
 
     Raises:
         MapError: If a light has a type that `signals` does not know.
+        UsageError: If a region is that of an unknown camera.
     """
 
     def __init__(
@@ -144,6 +157,9 @@ class LightPipeline:
                     f"the signal description '{signals.name}' has {', '.join(signals.types)}"
                 )
         self.config = config or PipelineConfig()
+        for name in self.config.regions:
+            if name not in cameras:
+                raise UsageError(f"regions: unknown camera '{name}'; calibrated are: {', '.join(cameras)}")
         self.skipped: Counter[str] = Counter()
         self.last_skip = ""
         self._detector = detector
@@ -160,6 +176,7 @@ class LightPipeline:
         self._class_types = np.array([signals.type_of[name] for name in signals.classes])
         self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
         self._last_set_ns: int | None = None
+        self._detected_sets = 0
         self._behind: tuple[list[CameraObservation], tuple[str, ...]] = ([], ())
 
     @classmethod
@@ -196,7 +213,16 @@ class LightPipeline:
         self._check_cameras(frames)
         if not frames:
             return []
-        return self.step_detections(frames, self._detector.batch([frame.image_bgr for frame in frames]))
+        return self.step_detections(frames, self.detect(frames))
+
+    def detect(self, frames: Sequence[CameraFrame]) -> list[Detections]:
+        """Detect lights in one set of frames, where they can be (`PipelineConfig.regions`)."""
+        images_bgr = [frame.image_bgr for frame in frames]
+        if not self.config.regions:
+            return self._detector.batch(images_bgr)
+        regions = [self._region(frame) for frame in frames]
+        self._detected_sets += 1
+        return cast(RegionDetector, self._detector).batch(images_bgr, regions)
 
     def step_detections(self, frames: Sequence[Stamped], detections: Sequence[Detections]) -> list[LightEstimate]:
         """Do what `step` does after detection: recorded detections can serve several pipelines.
@@ -265,14 +291,32 @@ class LightPipeline:
         self.skipped[reason] += count
         self.last_skip = text
 
-    def _observe(self, camera: CameraModel, pose: Pose, detections: Detections) -> CameraObservation:
-        """Hold one image against the known lights."""
-        config = self.config
-        detections = detections[detections.scores >= config.fusion_score_threshold]
+    def _region(self, frame: CameraFrame) -> Region | None:
+        """Where to look in one frame; everywhere if the vehicle's pose is not known."""
+        config = self.config.regions.get(frame.camera)
+        if config is None or (config.whole_every and self._detected_sets % config.whole_every == 0):
+            return None
+        try:
+            pose = self._poses.at(frame.stamp_ns)
+        except PoseError:
+            return None
+        camera = self._cameras[frame.camera]
+        boxes_xyxy = self._projected(camera, pose).boxes_xyxy
+        return region_of_interest(config, boxes_xyxy, (frame.image_bgr.shape[1], frame.image_bgr.shape[0]))
+
+    def _projected(self, camera: CameraModel, pose: Pose) -> ProjectedLights:
+        """The lights of the map and of unmapped tracks; rows of the latter follow those of the former."""
         projected = project_lights(self._lights, camera, pose)
         if len(self._tracks.unmapped):
             unmapped = project_lights(self._tracks.unmapped, camera, pose)
             projected = join_projected(projected, unmapped, row_offset=len(self._lights))
+        return projected
+
+    def _observe(self, camera: CameraModel, pose: Pose, detections: Detections) -> CameraObservation:
+        """Hold one image against the known lights."""
+        config = self.config
+        detections = detections[detections.scores >= config.fusion_score_threshold]
+        projected = self._projected(camera, pose)
         alignment = self._align(camera, pose, projected, detections)
         gates_px = None
         if alignment is not None and config.alignment is not None:

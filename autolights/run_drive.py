@@ -120,7 +120,6 @@ def run_drive(
     run = _Run(
         drive,
         bundle.signals,
-        detector,
         {
             variant: LightPipeline(
                 detector,
@@ -164,14 +163,13 @@ class _Run:
         self,
         drive: Drive,
         signals: SignalSet,
-        detector: ImageDetector,
         pipelines: dict[Variant, LightPipeline],
         explain: bool,
     ) -> None:
         self.last_skip = ""
         self._drive = drive
         self._signals = signals
-        self._detector = detector
+        self._detecting = list(pipelines.values())[-1]  # of all variants the last remembers most
         self._pipelines = pipelines
         self._explain = explain
         self._unreadable: Counter[str] = Counter()
@@ -184,7 +182,7 @@ class _Run:
         if not frames:
             return
         start_ns = time.perf_counter_ns()
-        found = self._detector.batch([frame.image_bgr for frame in frames])
+        found = self._detecting.detect(frames)
         detect_ms = (time.perf_counter_ns() - start_ns) / 1e6
         answered = False
         for variant, pipeline in self._pipelines.items():

@@ -1,8 +1,10 @@
-"""What finds more small lights, and what it costs: recall by height of checkpoints, input sizes and tiles.
+"""What finds more small lights, and what it costs: recall by height of checkpoints, input sizes, tiles and regions.
 
-Each way is a checkpoint, the long side of its input, and, after a slash, into how many tiles a side the image is cut:
+Each way is a checkpoint, the long side of its input, and, after a slash, into how many tiles a side the image is cut,
+or "map" for one region around all labelled lights with the margins of the runtime, as map and pose would give it:
 
     python tools/small_lights.py base=best.pt@1280 larger=best.pt@1920 tiled=best.pt@1280/2 --data runs/images
+    python tools/small_lights.py whole=best.pt@640 region=best.pt@640/map --data runs/images
 
 It runs as the car would: the exported model in ONNX Runtime, what is reported at the score threshold. A light is found
 if a detection of its class overlaps it by an IoU of 0.5. Milliseconds are medians from decoded image to boxes.
@@ -14,7 +16,6 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +26,9 @@ from autolights.core.boxes import nms
 from autolights.core.errors import AutolightsError, UsageError
 from autolights.core.progress import track
 from autolights.data import ImageDataset, load_image_dataset
-from autolights.infer import Detector
+from autolights.infer import Detector, Execution
 from autolights.infer.letterbox import rectangle_for
+from autolights.track import RegionConfig, region_of_interest
 from autolights.train import export_onnx, load_checkpoint
 from autolights.train.measure.operating_point import recall_by_height, sweep_thresholds
 from autolights.train.measure.predictions import Labels, Predictions
@@ -34,8 +36,6 @@ from autolights.train.network.complexity import gflops
 
 OVERLAP_PX = 96  # of neighbouring tiles: a light of that size lies whole in one of them
 IOU_THRESHOLD = 0.5
-
-Detect = Callable[[ImageArray], Detections]
 
 
 @dataclass(frozen=True)
@@ -46,15 +46,17 @@ class Way:
     checkpoint: Path
     long_side: int
     tiles: int
+    in_region: bool
 
     @classmethod
     def parse(cls, text: str) -> "Way":
-        """Read ``name=checkpoint@long_side`` or ``name=checkpoint@long_side/tiles``."""
-        match = re.fullmatch(r"([^=]+)=(.+)@(\d+)(?:/(\d+))?", text)
+        """Read ``name=checkpoint@long_side``, and ``/tiles`` or ``/map`` after it."""
+        match = re.fullmatch(r"([^=]+)=(.+)@(\d+)(?:/(\d+|map))?", text)
         if match is None:
-            raise UsageError(f"a way must read name=checkpoint@long_side[/tiles], got {text!r}")
+            raise UsageError(f"a way must read name=checkpoint@long_side[/tiles or /map], got {text!r}")
         name, checkpoint, long_side, tiles = match.groups()
-        return cls(name, Path(checkpoint), int(long_side), int(tiles or 1))
+        in_region = tiles == "map"
+        return cls(name, Path(checkpoint), int(long_side), 1 if in_region else int(tiles or 1), in_region)
 
 
 def tile_windows(size_wh: tuple[int, int], tiles: int) -> list[tuple[int, int, int, int]]:
@@ -102,22 +104,27 @@ def measure(way: Way, dataset: ImageDataset, threads: int, score_threshold: floa
     labels, reported, times = [], [], []
     with tempfile.TemporaryDirectory() as folder:
         report = export_onnx(model, Path(folder) / "model.onnx", size_wh=size_wh, score_threshold=score_threshold)
-        detector = Detector(report.path, report.info, threads=threads)
-        detect: Detect = detector if way.tiles == 1 else lambda image: detect_in_tiles(detector, image, way.tiles)
-        detect(image)
+        detector = Detector(report.path, report.info, Execution(threads=threads))
+        detector(image)
         for i in track(range(len(dataset)), description=way.name, total=len(dataset), unit="images"):
             image = dataset.read(i)
+            image_wh = (image.shape[1], image.shape[0])
+            boxes_xyxy = dataset.boxes_xyxy(i, image_wh)
             start = time.perf_counter()
-            seen = detect(image)
+            if way.in_region:
+                seen = detector(image, region_of_interest(RegionConfig(), boxes_xyxy, image_wh))
+            else:
+                seen = detector(image) if way.tiles == 1 else detect_in_tiles(detector, image, way.tiles)
             times.append(1e3 * (time.perf_counter() - start))
-            labels.append(Labels(dataset.boxes_xyxy(i, (image.shape[1], image.shape[0])), dataset.class_ids[i]))
+            labels.append(Labels(boxes_xyxy, dataset.class_ids[i]))
             reported.append(Predictions(seen.boxes_xyxy, seen.class_ids, seen.scores))
     bands = recall_by_height(labels, reported, iou_threshold=IOU_THRESHOLD)
     sweep = sweep_thresholds(labels, reported, iou_threshold=IOU_THRESHOLD)
     precision = sweep.precision[np.searchsorted(sweep.thresholds, score_threshold)]
     return [
         way.name,
-        f"{size_wh[0]}×{size_wh[1]}" + (f" × {way.tiles**2} tiles" if way.tiles > 1 else ""),
+        f"{size_wh[0]}×{size_wh[1]}"
+        + (f" × {way.tiles**2} tiles" if way.tiles > 1 else " of a region" * way.in_region),
         f"{gflops(model, size_wh) * way.tiles**2:.1f}",
         f"{statistics.median(times):.0f}",
         *(f"{band.recall:.3f} of {band.labels}" for band in bands),
@@ -128,7 +135,7 @@ def measure(way: Way, dataset: ImageDataset, threads: int, score_threshold: floa
 def main() -> None:
     """Print a markdown table, a row for each way."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("ways", nargs="+", help="name=checkpoint@long_side or name=checkpoint@long_side/tiles")
+    parser.add_argument("ways", nargs="+", help="name=checkpoint@long_side, then /tiles or /map")
     parser.add_argument("--data", type=Path, required=True, help="YOLO-format folder; its part 'val' is looked at")
     parser.add_argument("--score-threshold", type=float, default=0.25)
     parser.add_argument("--threads", type=int, default=2, help="of ONNX Runtime")

@@ -23,7 +23,7 @@ from autolights.core import ImageArray, load_config
 from autolights.core.errors import AutolightsError
 from autolights.core.progress import say
 from autolights.data import ImageDataset, load_image_dataset
-from autolights.infer import Detector
+from autolights.infer import Detector, Execution
 from autolights.infer.letterbox import rectangle_for
 from autolights.train import TrainConfig, YoloV5, evaluate_detector, export_onnx, load_checkpoint, train
 from autolights.train.network.complexity import gflops, parameter_count
@@ -58,7 +58,9 @@ def table_row(name: str, model: YoloV5, dataset: ImageDataset, arguments: argpar
     size_wh = rectangle_for((images[0].shape[1], images[0].shape[0]), arguments.long_side)
     with tempfile.TemporaryDirectory() as folder:
         report = export_onnx(model, Path(folder) / "model.onnx", size_wh=size_wh)
-        detector = Detector(report.path, report.info, providers=arguments.providers, threads=arguments.threads)
+        detector = Detector(
+            report.path, report.info, Execution(providers=tuple(arguments.providers or ()), threads=arguments.threads)
+        )
         fps = frames_per_s(detector, images, arguments.seconds)
     metrics = evaluate_detector(model, dataset, long_side=arguments.long_side, device=arguments.device)
     figures = (metrics.ap, metrics.ap50, metrics.ap75, metrics.ap_s, metrics.ap_m)

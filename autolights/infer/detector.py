@@ -114,6 +114,7 @@ class Detector:
             images_bgr: (H, W, 3) uint8 each.
             regions: Of each image the part in which lights can be, or None for all of it. What is looked at may be
                 larger, if that costs nothing, and keeps the image's resolution where the model's input allows it.
+                Lights that its edge cuts are left out.
 
         Returns:
             Detections of each image, in pixels of that image.
@@ -178,10 +179,11 @@ class _Lane:
         for image_bgr, view, out in zip(images_bgr, views, blob, strict=True):
             self._buffer.fill(image_bgr, out, view)
         outputs = self._session.run(blob)
-        return [
+        found = [
             decode_outputs(outputs, i, view, self._info, score_threshold=self._score_threshold)
             for i, view in enumerate(views)
         ]
+        return [_uncut(*each) for each in zip(found, views, images_bgr, strict=True)]
 
     def _blob(self, count: int, input_wh: tuple[int, int]) -> FloatArray:
         """(count, 3, height, width) of the memory, which grows to the largest input that ever came."""
@@ -190,6 +192,20 @@ class _Lane:
         if size > len(self._memory):
             self._memory = np.empty(size, dtype=self._memory.dtype)
         return self._memory[:size].reshape(shape)
+
+
+def _uncut(detections: Detections, view: Letterbox, image_bgr: ImageArray) -> Detections:
+    """Without what the edge of a region cuts: half a light has the size of none."""
+    height, width = image_bgr.shape[:2]
+    if view.image_wh == (width, height):
+        return detections
+    (left, top), (view_width, view_height) = view.origin_xy, view.image_wh
+    right, bottom = left + view_width, top + view_height
+    low = np.array([left + 1 if left else -1, top + 1 if top else -1])
+    high = np.array([right - 1 if right < width else width + 1, bottom - 1 if bottom < height else height + 1])
+    boxes = detections.boxes_xyxy
+    cut = (boxes[:, :2] <= low) | (boxes[:, 2:] >= high)
+    return detections[np.flatnonzero(~cut.any(axis=1))]
 
 
 def _check_image(image_bgr: ImageArray) -> None:

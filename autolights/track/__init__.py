@@ -16,6 +16,7 @@ from autolights.track.memoryless import MemorylessLights
 from autolights.track.new_lights import may_be_new
 from autolights.track.observation import CameraObservation, explain_observation
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
+from autolights.track.regions import RegionConfig, region_of_interest
 
 __all__ = [
     "Alignment",
@@ -27,6 +28,7 @@ __all__ = [
     "FlashVerdict",
     "MemorylessLights",
     "ProjectedLights",
+    "RegionConfig",
     "TrackConfig",
     "TrackManager",
     "associate",
@@ -41,6 +43,7 @@ __all__ = [
     "localize_boxes",
     "may_be_new",
     "project_lights",
+    "region_of_interest",
     "transition_over",
     "type_fits",
 ]

@@ -54,6 +54,16 @@ def test_every_form_of_a_model_says_the_same(spot_model, form):
     assert wide.class_ids.tolist() == [1]
 
 
+def test_lights_that_a_regions_edge_cuts_are_left_out(spot_model):
+    detector = Detector(*spot_model(score_threshold=0.5))
+    # The region grows to 64 x 32 from (96, 48): a spot at its edge, one inside, one at the image's own edge.
+    picture = spot_image(160, 80, [(96, 64, RED), (120, 60, GREEN), (156, 76, RED)])
+
+    found = detector(picture, region=(96, 48, 160, 80))
+
+    assert found.boxes_xyxy.tolist() == [[152, 72, 160, 80], [120, 56, 128, 64]]
+
+
 def test_threshold_of_the_model_may_be_replaced(constant_model):
     model = constant_model(ROWS, score_threshold=0.5)
 
