@@ -39,6 +39,8 @@ from autolights.track import (
     CameraHealth,
     CameraObservation,
     MemorylessLights,
+    PlaceBook,
+    PlaceConfig,
     ProjectedLights,
     RegionConfig,
     TrackConfig,
@@ -73,6 +75,8 @@ class PipelineConfig(Config):
             that light misread, not a new one; 0 lets it start a track.
         alignment: What is known of the errors of calibration, pose and map; of it come the common
             shift of each camera's lights and the gate around each. null takes all as they are (the paper).
+        places: What is known of the errors of places before anything is seen; of it come positions that the images
+            have refined, with their covariance. null leaves map lights where the map has them (the paper).
         track: Birth, death and memory.
         regions: By camera, which part of its images the detector looks at; of cameras that are not named, all.
     """
@@ -84,6 +88,7 @@ class PipelineConfig(Config):
     max_distance_heights: float | None = Field(default=1.0, gt=0)
     misread_distance_heights: float = Field(default=0.75, ge=0)
     alignment: AlignmentConfig | None = AlignmentConfig()
+    places: PlaceConfig | None = PlaceConfig()
     track: TrackConfig = TrackConfig()
     regions: dict[str, RegionConfig] = Field(default_factory=dict)
 
@@ -171,6 +176,8 @@ class LightPipeline:
         self._alignments = (
             {name: CameraAlignment(camera, alignment) for name, camera in self._cameras.items()} if alignment else {}
         )
+        places = self.config.places
+        self._places = PlaceBook(lights, self._cameras, places) if places else None
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
         self._memoryless = MemorylessLights(lights, signals)
         self._class_types = np.array([signals.type_of[name] for name in signals.classes])
@@ -249,7 +256,10 @@ class LightPipeline:
         self._behind = (observations, (*self._lights.ids, *(f"track {i}" for i in self._tracks.unmapped.ids)))
         if self.config.variant == "fusion":
             return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]
-        return self._tracks.update(observations, set_ns)
+        if self._places is None:
+            return self._tracks.update(observations, set_ns)
+        self._places.take_in(observations, self._tracks.unmapped, set_ns)
+        return self._placed(self._tracks.update(observations, set_ns), observations[-1].pose)
 
     def health(self) -> dict[str, CameraHealth]:
         """What each camera's images say of its calibration; empty without `alignment`."""
@@ -353,6 +363,15 @@ class LightPipeline:
             misread_distance_heights=config.misread_distance_heights,
         )
         return CameraObservation(camera, pose, detections, projected, cost, association, positions, left[new])
+
+    def _placed(self, lights: Sequence[LightEstimate], pose: Pose) -> list[LightEstimate]:
+        """The estimates with the places that the images have refined."""
+        assert self._places is not None
+        placed = []
+        for light in lights:
+            place = self._places.place(light.map_id, light.track_id)
+            placed.append(light if place is None else light.at(*place, vehicle=pose.position))
+        return placed
 
     def _align(
         self, camera: CameraModel, pose: Pose, projected: ProjectedLights, detections: Detections

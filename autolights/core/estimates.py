@@ -1,5 +1,6 @@
 """What the runtime says about one light at one instant."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, Self, TypeAlias
 
@@ -64,6 +65,14 @@ class LightEstimate:
         object.__setattr__(self, "position", as_float_array(self.position, (3,), "position"))
         if self.covariance is not None:
             object.__setattr__(self, "covariance", as_float_array(self.covariance, (3, 3), "covariance"))
+
+    def at(self, position: FloatArray, covariance: FloatArray, *, vehicle: FloatArray) -> "LightEstimate":
+        """The same light elsewhere: (3,) metres, (3, 3) m², seen from a vehicle at (3,) metres."""
+        # Built by hand: checking a position that comes from a filter would cost more than the filter.
+        moved = object.__new__(LightEstimate)
+        distance_m = math.dist(position.tolist(), vehicle.tolist())
+        moved.__dict__.update(self.__dict__, position=position, covariance=covariance, distance_m=distance_m)
+        return moved
 
     def to_json(self) -> dict[str, Any]:
         """One entry of `lights` in a line of ``estimates.jsonl`` (DESIGN: Files); the line holds the stamp."""

@@ -15,6 +15,8 @@ from autolights.track.manager import TrackManager
 from autolights.track.memoryless import MemorylessLights
 from autolights.track.new_lights import may_be_new
 from autolights.track.observation import CameraObservation, explain_observation
+from autolights.track.place_book import PlaceBook
+from autolights.track.places import LightPlaces, PlaceConfig
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
 from autolights.track.regions import RegionConfig, region_of_interest
 
@@ -26,7 +28,10 @@ __all__ = [
     "CameraHealth",
     "CameraObservation",
     "FlashVerdict",
+    "LightPlaces",
     "MemorylessLights",
+    "PlaceBook",
+    "PlaceConfig",
     "ProjectedLights",
     "RegionConfig",
     "TrackConfig",
