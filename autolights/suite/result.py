@@ -29,6 +29,7 @@ class SuiteResult(Config):
         version: Of autolights.
         suite: What was run.
         pipelines: Settings by label.
+        drives: How many were driven.
         scenarios: Scenario → pipeline → figures.
         accuracy_scenarios: Those in `whole` as far as class accuracy goes.
         whole: Pipeline → figures over `accuracy_scenarios`.
@@ -40,6 +41,7 @@ class SuiteResult(Config):
     version: str
     suite: SuiteConfig
     pipelines: dict[str, PipelineConfig]
+    drives: int
     scenarios: dict[str, dict[str, Figures]]
     accuracy_scenarios: tuple[str, ...]
     whole: dict[str, Figures]
@@ -158,7 +160,9 @@ def _result(
         raise UsageError(f"no pipeline '{judged}' to be judged; there are {', '.join(pipelines)}")
     counts: dict[str, dict[str, Tally]] = {}
     of_drives: dict[str, list[float]] = {label: [] for label in pipelines}
+    driven = 0
     for name, of_drive in drives:
+        driven += 1
         of_scenario = counts.setdefault(name, dict.fromkeys(pipelines, Tally()))
         for label, counted in of_drive.items():
             of_scenario[label] = of_scenario[label] + counted
@@ -169,6 +173,7 @@ def _result(
         version=autolights.__version__,
         suite=suite,
         pipelines=dict(pipelines),
+        drives=driven,
         scenarios={
             name: {label: figures(counted) for label, counted in labels.items()} for name, labels in counts.items()
         },

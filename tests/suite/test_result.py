@@ -41,6 +41,7 @@ def test_targets_without_their_scenario_are_open(result: SuiteResult) -> None:
 def test_the_table_names_everything(result: SuiteResult) -> None:
     text = markdown(result)
     assert "| class accuracy, % | ≥ 98.0 |" in text
+    assert "2 scenarios, 2 drives." in text
     assert "**plain**: plain" in text
     assert "|  | od | fusion | full | paper |" in text
 
