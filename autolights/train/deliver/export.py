@@ -13,9 +13,10 @@ from autolights.core import ImageArray, InitialWeights, ModelInfo
 from autolights.core.atomic import new_file
 from autolights.core.errors import UsageError
 from autolights.core.model_info import Head, Precision
+from autolights.train.deliver.half_precision import half_arithmetic, to_half
 from autolights.train.deliver.heads import MIN_DYNAMIC_SIDE, candidate_count
 from autolights.train.deliver.onnx_file import OPSET, OPSETS, finish, trace
-from autolights.train.deliver.parity import TOLERANCES, compare
+from autolights.train.deliver.parity import TOLERANCES, compare, onnx_run
 from autolights.train.network.model import MAX_STRIDE, YoloV5
 
 
@@ -97,13 +98,24 @@ def export_onnx(
         proto = _in_precision(trace(model, info), info)
         with new_file(path) as model_file, new_file(path.with_suffix(".json")) as info_file:
             onnx.save(finish(proto, info), model_file)
-            parity = compare(model, model_file, info, images)
-            parity.check(TOLERANCES[info.precision])
-            info = info.model_copy(update={"parity": parity.to_json()})
+            info = info.model_copy(update={"parity": _checked_parity(model, model_file, info, images)})
             info_file.write_text(json.dumps(info.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")
     finally:
         model.train(was_training)
     return ExportReport(path, info)
+
+
+def _checked_parity(model: YoloV5, path: Path, info: ModelInfo, images: Sequence[ImageArray]) -> dict[str, Any]:
+    parity = compare(model, onnx_run(path, info), info, images)
+    parity.check(TOLERANCES[info.precision])
+    figures = parity.to_json()
+    if info.precision == "fp16":
+        arithmetic = half_arithmetic(model)
+        rows = info.model_copy(update={"head": "raw"})
+        parity = compare(model, lambda batch: [arithmetic(batch)], rows, images)
+        parity.check(TOLERANCES[info.precision], what="the network in half-precision arithmetic")
+        figures["half_arithmetic"] = parity.to_json()
+    return figures
 
 
 def _in_precision(proto: ModelProto, info: ModelInfo) -> ModelProto:
@@ -112,7 +124,9 @@ def _in_precision(proto: ModelProto, info: ModelInfo) -> ModelProto:
         if info.half_io:
             raise UsageError("half-precision inputs and outputs need --precision fp16")
         return proto
-    raise UsageError(f"precision {info.precision} cannot be exported yet; choose fp32")
+    if info.precision == "fp16":
+        return to_half(proto, info)
+    raise UsageError(f"precision {info.precision} cannot be exported yet; choose fp32 or fp16")
 
 
 def _checked_size(size_wh: tuple[int, int], head: Head, dynamic_size: bool) -> tuple[int, int]:

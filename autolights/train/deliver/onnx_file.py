@@ -86,8 +86,9 @@ def without_plugin(proto: ModelProto) -> ModelProto:
     cut = ModelProto()
     cut.CopyFrom(proto)
     (node,) = (node for node in cut.graph.node if node.op_type == PLUGIN)
-    cut.graph.node.remove(node)
-    del cut.graph.output[:]
+    kept = [other for other in cut.graph.node if other != node and not set(other.input) & set(node.output)]
+    del cut.graph.output[:], cut.graph.node[:]
+    cut.graph.node.extend(kept)
     cut.graph.output.extend(helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in node.input)
     return cut
 

@@ -51,11 +51,10 @@ def rows(*boxes_and_scores):
     return np.array([[x, y, side, side, score, 0.1, 1.0] for x, y, side, score in boxes_and_scores], dtype=np.float32)
 
 
-def compared(wanted, got):
-    found = _Differences()
-    info = ModelInfo(classes=("a", "b"), size_wh=(96, 64), opset=17)
-    found.add(wanted, [got], info, TOLERANCES["fp32"])
-    return found.parity(info)
+def compared(wanted, got, precision="fp32"):
+    found = _Differences(ModelInfo(classes=("a", "b"), size_wh=(96, 64), opset=17, precision=precision))
+    found.add(wanted[None], [got[None]])
+    return found.parity()
 
 
 def test_figures_by_hand():
