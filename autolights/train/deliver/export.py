@@ -17,6 +17,7 @@ from autolights.train.deliver.half_precision import half_arithmetic, to_half
 from autolights.train.deliver.heads import MIN_DYNAMIC_SIDE, candidate_count
 from autolights.train.deliver.onnx_file import OPSET, OPSETS, finish, trace
 from autolights.train.deliver.parity import TOLERANCES, compare, onnx_run
+from autolights.train.deliver.tensorrt_operators import check_operators
 from autolights.train.network.model import MAX_STRIDE, YoloV5
 
 
@@ -70,6 +71,7 @@ def export_onnx(
 
     Raises:
         UsageError: If a choice does not fit the network or another choice.
+        DataError: If TensorRT does not know an operator of the graph.
         ParityError: If the model differs from the network.
     """
     info = ModelInfo(
@@ -96,6 +98,7 @@ def export_onnx(
     model.eval()
     try:
         proto = _in_precision(trace(model, info), info)
+        check_operators(proto)
         with new_file(path) as model_file, new_file(path.with_suffix(".json")) as info_file:
             onnx.save(finish(proto, info), model_file)
             info = info.model_copy(update={"parity": _checked_parity(model, model_file, info, images)})
