@@ -38,6 +38,18 @@ def export(
         float, typer.Option(min=0.01, max=0.99, help="Of two boxes that overlap more the worse one goes.")
     ] = 0.5,
     max_detections: Annotated[int, typer.Option(min=1, max=512, help="The most lights of an image.")] = 100,
+    check_tensorrt: Annotated[
+        bool,
+        typer.Option(
+            "--check-tensorrt",
+            help="Also parse and build the file with TensorRT's sibling for RTX cards; needs no GPU, but the extra "
+            "check-tensorrt.",
+        ),
+    ] = False,
+    compute_capability: Annotated[
+        list[str] | None,
+        typer.Option(help="Of --check-tensorrt, e.g. 8.6; repeatable.  [default: 7.5, 8.0, 8.6, 8.9]"),
+    ] = None,
     metrics: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="metrics.json of `val`, kept in the manifest.")
     ] = None,
@@ -60,8 +72,12 @@ def export(
     """
     from autolights.core.atomic import refuse_existing
     from autolights.core.json_files import read_json_object
+    from autolights.core.progress import say
     from autolights.infer import ImageSources
     from autolights.train import export_onnx, load_checkpoint
+    from autolights.train.deliver.tensorrt_check import COMPUTE_CAPABILITIES
+    from autolights.train.deliver.tensorrt_check import check_tensorrt as check_with_tensorrt
+    from autolights.train.deliver.tensorrt_shapes import trtexec_command
 
     for path in (out, out.with_suffix(".json")):
         refuse_existing(path, force=force)
@@ -89,6 +105,11 @@ def export(
         training=read_json_object(metrics) if metrics else None,
     )
     typer.echo(f"{out}: {json.dumps(report.info.parity)}")
+    say(f"for TensorRT on the target: {trtexec_command(out, report.info)}")
+    if check_tensorrt:
+        check = check_with_tensorrt(out, report.info, compute_capability or COMPUTE_CAPABILITIES)
+        typer.echo(check.to_text())
+        check.raise_if_refused()
 
 
 def fit_hmm(

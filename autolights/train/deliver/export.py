@@ -97,7 +97,7 @@ def export_onnx(
     was_training = model.training
     model.eval()
     try:
-        proto = _in_precision(trace(model, info), info)
+        proto = in_precision(trace(model, info), info)
         check_operators(proto)
         with new_file(path) as model_file, new_file(path.with_suffix(".json")) as info_file:
             onnx.save(finish(proto, info), model_file)
@@ -121,8 +121,12 @@ def _checked_parity(model: YoloV5, path: Path, info: ModelInfo, images: Sequence
     return figures
 
 
-def _in_precision(proto: ModelProto, info: ModelInfo) -> ModelProto:
-    """The float32 graph in the precision that was asked for; what follows is the same for all."""
+def in_precision(proto: ModelProto, info: ModelInfo) -> ModelProto:
+    """Turn a traced float32 graph into the precision that was asked for; checks, parity and files are the same for all.
+
+    Raises:
+        UsageError: If a choice does not fit the precision.
+    """
     if info.precision == "fp32":
         if info.half_io:
             raise UsageError("half-precision inputs and outputs need --precision fp16")
