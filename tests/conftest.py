@@ -97,7 +97,7 @@ class Scene:
     cameras: tuple[str, ...] = ("narrow",)
     speed_mps: float = 5.0
     noise_px: float = 0.0
-    accuracy: float = 0.9
+    accuracy: float = 0.98
 
     def __post_init__(self) -> None:
         rig = {"narrow": make_camera("narrow", 47.3, 64.0), "wide": make_camera("wide", 85.7, 40.0)}
@@ -122,8 +122,11 @@ class Scene:
 
     def pipeline(self, config: PipelineConfig | None = None) -> LightPipeline:
         poses = PoseBuffer(self.pose(t) for t in np.arange(0, 60, 0.1))
-        hmm = make_hmm(self.signals, self.accuracy)
-        return LightPipeline(Unused(), hmm, self.signals, self.rig, self.map, config, poses=poses)
+        return LightPipeline(Unused(), self.hmm, self.signals, self.rig, self.map, config, poses=poses)
+
+    @property
+    def hmm(self) -> dict[str, HmmParameters]:
+        return make_hmm(self.signals, self.accuracy)
 
     def boxes(self, camera: str, t: float) -> FloatArray:
         corners = light_corners(self.truth.positions, self.truth.headings_deg, self.truth.sizes_m)
@@ -172,6 +175,11 @@ def make_scene(signals: SignalSet) -> Callable[..., Scene]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def hmm(signals: SignalSet) -> dict[str, HmmParameters]:
     return make_hmm(signals)
+
+
+@pytest.fixture(scope="session")
+def hmm_of() -> Callable[[SignalSet], dict[str, HmmParameters]]:
+    return make_hmm

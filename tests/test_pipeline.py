@@ -48,7 +48,7 @@ def test_step_detects_at_each_image(make_scene: Callable) -> None:
             return [scene.detect("narrow", 0.0), scene.detect("wide", 0.0)][: len(images_bgr)]
 
     pipeline = scene.pipeline()
-    pipeline = LightPipeline(Recorded(), _hmm(pipeline), scene.signals, scene.rig, scene.map)
+    pipeline = LightPipeline(Recorded(), scene.hmm, scene.signals, scene.rig, scene.map)
     for t in np.arange(0, 0.5, 0.02):
         pipeline.update_pose(scene.pose(t))
     for stamp_ns in (0, 100_000_000):
@@ -188,13 +188,9 @@ print([(e.map_id, e.class_name) for e in told])
 def test_poses_may_come_late(make_scene: Callable, signals: SignalSet) -> None:
     scene = make_scene(LIGHTS)
     empty = PoseBuffer()
-    pipeline = LightPipeline(scene, _hmm(scene.pipeline()), signals, scene.rig, scene.map, poses=empty)
+    pipeline = LightPipeline(scene, scene.hmm, signals, scene.rig, scene.map, poses=empty)
     assert scene.step(pipeline, 0.05) == []
     for t in (0.1, 0.0):
         pipeline.update_pose(scene.pose(t))
     scene.step(pipeline, 0.05)
     assert len(scene.step(pipeline, 0.1)) == 3
-
-
-def _hmm(pipeline: LightPipeline) -> dict:
-    return {name: states.params for name, states in pipeline._tracks._states.items()}

@@ -8,7 +8,7 @@ from autolights.core.confusion import ConfusionMatrix
 from autolights.core.detections import Detections
 from autolights.core.estimates import CameraView, LightEstimate
 from autolights.core.frames import CameraFrame
-from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
+from autolights.core.hmm import Certainty, HmmParameters, load_hmm, save_hmm
 from autolights.core.light_map import TrafficLightMap
 from autolights.core.model_info import InitialWeights, ModelInfo
 from autolights.core.pose import Pose, PoseBuffer
@@ -20,6 +20,7 @@ __all__ = [
     "CameraFrame",
     "CameraModel",
     "CameraView",
+    "Certainty",
     "Config",
     "ConfusionMatrix",
     "Detections",

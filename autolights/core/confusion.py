@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from autolights.core.arrays import IntArray
+from autolights.core.calibration import Calibration
 from autolights.core.errors import DataError
 from autolights.core.json_files import read_json_object, write_json
 
@@ -20,12 +21,14 @@ class ConfusionMatrix:
         counts: (C + 1, C + 1) integers `[truth, predicted]`; the last row counts false alarms, the last column misses.
         score_threshold: Detections below it were not counted.
         iou_threshold: Overlap from which a detection counts as the truth's.
+        calibration: What the class probabilities of the same detections are worth; None if nobody measured it.
     """
 
     classes: tuple[str, ...]
     counts: IntArray
     score_threshold: float
     iou_threshold: float
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         size = len(self.classes) + 1
@@ -41,6 +44,7 @@ class ConfusionMatrix:
             "counts": self.counts.tolist(),
             "score_threshold": self.score_threshold,
             "iou_threshold": self.iou_threshold,
+            "calibration": None if self.calibration is None else self.calibration.to_json(),
         }
 
     @classmethod
@@ -50,12 +54,14 @@ class ConfusionMatrix:
         Raises:
             DataError: If a field is missing or the counts do not fit the classes.
         """
+        calibration = values.get("calibration")
         try:
             return cls(
                 classes=tuple(values["classes"]),
                 counts=np.asarray(values["counts"], dtype=np.int64),
                 score_threshold=float(values["score_threshold"]),
                 iou_threshold=float(values["iou_threshold"]),
+                calibration=None if calibration is None else Calibration.from_json(calibration),
             )
         except KeyError as error:
             raise DataError(f"confusion matrix: field {error} is missing") from error

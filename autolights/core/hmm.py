@@ -13,6 +13,29 @@ from autolights.core.json_files import read_json_object, write_json
 _ARRAYS = ("initial", "rates", "transition", "observation", "evidence", "miss_probs", "counts")
 
 
+@dataclass(frozen=True)
+class Certainty:
+    """What a detector's confidence is worth: when it counts as sure, and how often it is.
+
+    Attributes:
+        threshold: Share of the calibrated class vector that the best class must have.
+        sure_if_right: P(sure | it sees the true class).
+        sure_if_wrong: P(sure | it sees another class). Equal to the former, being sure says nothing.
+
+    Raises:
+        ValueError: If a number is not in [0, 1].
+    """
+
+    threshold: float = 0.5
+    sure_if_right: float = 0.5
+    sure_if_wrong: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value <= 1:
+                raise ValueError(f"certainty.{name} must lie in [0, 1], got {value}")
+
+
 @dataclass(frozen=True, eq=False)
 class HmmParameters:
     """λ = {A, B, π} of one type (Wu et al. 2023, Sec. III-D), with Q behind A and C derived from B.
@@ -26,9 +49,11 @@ class HmmParameters:
         transition: (k, k) A at `nominal_dt_s`: `[i, j]` = P(q_t = j | q_{t-1} = i), rows sum to 1.
         observation: (k, k) B: `[i, j]` = P(o = j | q = i), rows sum to 1.
         evidence: (k, k) C: `[j, k]` = P(q = j | o = k), columns sum to 1.
-        miss_probs: (k,) P(no detection of this type | state); for the record, not read by the runtime.
+        miss_probs: (k,) P(no detection of this type | state).
         counts: (k, k) the block of the confusion matrix behind B, pseudocount not included.
-        provenance: Where the numbers come from: prior, pseudocount, score threshold, hand tuning.
+        provenance: Where the numbers come from: prior, pseudocount, score threshold, calibration, hand tuning.
+        temperature: A class vector is raised to the power of 1 / temperature before C, so that x means what it says.
+        certainty: When it is sure, and what that is worth.
 
     Raises:
         ValueError: If a shape or a sum is wrong.
@@ -45,6 +70,8 @@ class HmmParameters:
     miss_probs: FloatArray
     counts: FloatArray
     provenance: dict[str, Any]
+    temperature: float = 1.0
+    certainty: Certainty = Certainty()
 
     def __post_init__(self) -> None:
         k = len(self.states)
@@ -66,12 +93,15 @@ class HmmParameters:
             raise ValueError(f"miss_probs['{self.type}'] must lie in [0, 1], got {self.miss_probs.max()}")
         if not self.nominal_dt_s > 0:
             raise ValueError(f"nominal_dt_s['{self.type}'] must be positive, got {self.nominal_dt_s}")
+        if not 0 < self.temperature < np.inf:
+            raise ValueError(f"temperature['{self.type}'] must be positive and finite, got {self.temperature}")
 
     def to_json(self) -> dict[str, Any]:
         """The parameters as JSON-ready values."""
         arrays = {name: getattr(self, name).tolist() for name in _ARRAYS}
         rest = {"type": self.type, "states": list(self.states), "nominal_dt_s": self.nominal_dt_s}
-        return {**rest, **arrays, "provenance": self.provenance}
+        confidence = {"temperature": self.temperature, "certainty": vars(self.certainty)}
+        return {**rest, **arrays, **confidence, "provenance": self.provenance}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Self:
@@ -83,6 +113,8 @@ class HmmParameters:
                 states=tuple(values["states"]),
                 nominal_dt_s=float(values["nominal_dt_s"]),
                 provenance=dict(values["provenance"]),
+                temperature=float(values["temperature"]),
+                certainty=Certainty(**values["certainty"]),
                 **arrays,
             )
         except KeyError as error:

@@ -10,7 +10,7 @@ from autolights.core.errors import BundleError
 from autolights.core.json_files import read_json_object, validated
 
 # Of the bundle and of the description beside a model: they change together.
-FORMAT_VERSION = 2  # 1 knew raw, fp32 and one fixed size only
+FORMAT_VERSION = 3  # 1 knew raw, fp32 and one fixed size only, 2 no temperature
 
 Head: TypeAlias = Literal["raw", "end2end", "efficient-nms"]
 Precision: TypeAlias = Literal["fp32", "fp16", "int8"]

@@ -44,12 +44,14 @@ class SignalState(Config):
     Attributes:
         lit: Names of the lamps that are lit; empty for the dark phase of a flash.
         mean_s: Expected duration in seconds, from which the HMM's rates come.
+        min_s: Least duration in seconds, 0 if it may end at once. Those of a flash follow from the pair.
         next: Legal successors with their relative frequency.
         mirror: The class that its mirror image shows, or None if that is no class.
     """
 
     lit: tuple[str, ...]
     mean_s: float = Field(gt=0)
+    min_s: float = Field(default=0.0, ge=0)
     next: dict[str, float]
     mirror: str | None
 
@@ -62,6 +64,8 @@ class FlashingPair(Config):
         off: The dark state.
         reported: What the pair is called when it flashes.
         steady_on: Whether the on state is legal when steady too: only a dark phase then tells a flash.
+        steady_s: Of such a pair: expected duration of the on state where it is steady. Its `mean_s` is of both.
+        begins_every_s: Of such a pair: steadily lit time after which it begins to flash, on average.
         period_s: Shortest and longest legal cycle (50 to 60 a minute: 1.0 to 1.2 s).
         on_ratio: Smallest and largest legal share of the cycle in which it is lit.
     """
@@ -70,6 +74,8 @@ class FlashingPair(Config):
     off: str
     reported: str
     steady_on: bool = False
+    steady_s: float = Field(default=30.0, gt=0)
+    begins_every_s: float = Field(default=300.0, gt=0)
     period_s: tuple[float, float] = (1.0, 1.2)
     on_ratio: tuple[float, float] = (1 / 2, 2 / 3)
 

@@ -2,20 +2,24 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from autolights.core import Detections, HmmParameters, ImageArray, LightEstimate, SignalSet
+from autolights.core.calibration import Calibration
 from autolights.data import EstimateSet
 from autolights.evaluate.outcomes import RunOutcomes, hold_against_truth
 from autolights.pipeline import LightPipeline, PipelineConfig
-from autolights.sim.detector_model import expected_confusion
+from autolights.sim.detector_model import DetectorModel, LightViews, expected_confusion
 from autolights.suite.config import SuiteConfig
 from autolights.suite.drives import SuiteDrive, known_rates
 from autolights.track import associate, association_cost, project_lights
 from autolights.train.deliver.hmm_fitting import fit_hmm
+from autolights.train.measure.calibration import fit_calibration
+
+_VALIDATION = 7  # its own stream of random numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,7 @@ class _NoDetector:
 
 
 def suite_hmm(suite: SuiteConfig, signals: SignalSet) -> dict[str, HmmParameters]:
-    """The HMMs that a runtime gets: fitted on the validation set's confusion, not on the road's."""
+    """The HMMs that a runtime gets: fitted on the validation set's confusion and confidence, not on the road's."""
     confusion = expected_confusion(
         known_rates(suite, signals),
         signals,
@@ -76,7 +80,26 @@ def suite_hmm(suite: SuiteConfig, signals: SignalSet) -> dict[str, HmmParameters
         miss_rate=suite.confusion_miss_rate,
         score_threshold=0.25,
     )
+    confusion = replace(confusion, calibration=_validation_calibration(suite, signals))
     return fit_hmm(confusion, signals, pseudocount=suite.pseudocount)
+
+
+def _validation_calibration(suite: SuiteConfig, signals: SignalSet) -> Calibration | None:
+    """What the detector's confidence is worth on validation images: `confusion_lights` of each class, once each."""
+    truth_ids = np.repeat(np.arange(len(signals.classes)), suite.confusion_lights)
+    rates, seed = known_rates(suite, signals), (suite.seed, _VALIDATION)
+    model = DetectorModel(signals, rates, suite.detector, count=len(truth_ids), duration_s=0.0, seed=seed)
+    views = LightViews(
+        times_s=np.zeros(1),
+        size_wh=(1280, 800),
+        boxes_xyxy=np.broadcast_to([600.0, 300.0, 620.0, 360.0], (1, len(truth_ids), 4)),
+        class_ids=truth_ids[None],
+        hidden=np.zeros((1, len(truth_ids))),
+        is_light=np.ones(len(truth_ids), dtype=bool),
+    )
+    (frame,) = model.detect(views, camera=0)
+    real = frame.sources >= 0
+    return fit_calibration(frame.detections.class_probs[real], truth_ids[frame.sources[real]])
 
 
 def run_pipelines(

@@ -17,11 +17,20 @@ class TrackConfig(Config):
         death_sets: Mode ``paper``: a light that was missed in more sets than this is no longer reported (N_death = 15).
         max_coast_s: Mode ``timed``: a light that was looked for in vain for longer than this loses its state, and no
             state older than this is acted upon. In both modes a light out of sight is reported no longer than this.
-        error_correlation_s: Mode ``timed``: glare or a passing wire spoils a detector's answers for about this long,
-            so an observation that follows the last one sooner counts as that share of an independent one; 0 takes all
-            observations as independent, as the paper does.
-        history_size: Observations that a track remembers at least (the paper's N).
-        history_s: It also remembers all of the last seconds, so that two flashes fit in whatever the frame rate.
+        error_duration_s: Mode ``timed``: glare or a passing wire spoils a detector's answers for about this long, and
+            until then its saying the same again is hardly news; 0 takes all looks as independent, as the paper does.
+        dwell_stages: Mode ``timed``: a least duration (`SignalState.min_s`, the phases of a flash) is passed in so many
+            stages; 1 lets every state end at any time, as the paper does.
+        odd_changes_per_hour: Mode ``timed``: how often lights do what their description does not foresee.
+        max_go_risk: Mode ``timed``: "go" is said to nobody who is told to stop with more than this probability.
+        min_probability: Mode ``timed``: a state that is less probable is withheld.
+        min_missed_px: Mode ``timed``: a light of at least this height that is in plain view and not detected is a hint
+            at states that are often missed (P(missed | state) of the bundle).
+        share_groups: Mode ``timed``: lights that the map gives one intersection, group and type share evidence.
+        dispute_after_s: Lights of a group that contradict each other for this long stop sharing until they agree.
+        max_tracks: Lights that are remembered; beyond it those that were out of sight longest are forgotten.
+        history_size: Mode ``paper``: observations that a track remembers at least (the paper's N).
+        history_s: Mode ``paper``: it also remembers all of the last seconds, so that two flashes fit in.
         box_sigma_px: Standard deviation of a detected box's edges, from which unmapped positions are weighted.
     """
 
@@ -29,7 +38,15 @@ class TrackConfig(Config):
     birth_hits: int = Field(default=2, ge=1)
     death_sets: int = Field(default=15, ge=0)
     max_coast_s: float = Field(default=2.0, gt=0)
-    error_correlation_s: float = Field(default=0.15, ge=0)
+    error_duration_s: float = Field(default=0.4, ge=0)
+    dwell_stages: int = Field(default=8, ge=1, le=32)
+    odd_changes_per_hour: float = Field(default=1.0, gt=0)
+    max_go_risk: float = Field(default=0.1, gt=0, le=1)
+    min_probability: float = Field(default=0.25, ge=0, lt=1)
+    min_missed_px: float = Field(default=12.0, ge=0)
+    share_groups: bool = True
+    dispute_after_s: float = Field(default=1.5, gt=0)
+    max_tracks: int = Field(default=2000, ge=1)
     history_size: int = Field(default=64, ge=1)
     history_s: float = Field(default=4.0, ge=0)
     box_sigma_px: float = Field(default=1.5, gt=0)

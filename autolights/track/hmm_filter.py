@@ -1,4 +1,4 @@
-"""The forward algorithm of one type of light, as pure functions (Wu et al. 2023, Sec. III-D).
+"""The forward algorithm of one type of light as the paper has it, as pure functions (Wu et al. 2023, Sec. III-D).
 
 Beliefs are arrays of (..., k) whose last axis runs over the type's states and sums to 1; leading axes are tracks.
 """
@@ -40,10 +40,8 @@ def transition_over(params: HmmParameters, dt_s: float) -> FloatArray:
     return _transition_over_ms(params, round(dt_s * 1000))
 
 
-def hmm_update(
-    predicted: FloatArray, class_probs: FloatArray, params: HmmParameters, *, weight: FloatArray | float = 1.0
-) -> FloatArray:
-    """Take in an observation: α ∝ c ⊙ α, c = C x, x the class vector over the type's states, normalised to 1.
+def hmm_update(predicted: FloatArray, class_probs: FloatArray, params: HmmParameters) -> FloatArray:
+    """Take in an observation: α ∝ c ⊙ α, c = C x, x the class vector over the type's states, calibrated, sum 1.
 
     Two cameras at one instant are one prediction and two updates.
 
@@ -51,16 +49,15 @@ def hmm_update(
         predicted: (..., k) belief before the observation.
         class_probs: (..., k) what the detector says of the type's states, not negative; all zero says nothing.
         params: Of the type.
-        weight: (...) in [0, 1]: c is raised to it. An observation that shares its errors with the one before is only
-            part of an independent one.
 
     Returns:
         (..., k). Where the model calls the observation impossible, the observation alone is believed.
     """
     k = len(params.states)
+    class_probs = class_probs ** (1 / params.temperature)
     total = class_probs.sum(axis=-1, keepdims=True)
     x = np.divide(class_probs, total, out=np.full_like(class_probs, 1 / k, dtype=np.float64), where=total > 0)
-    evidence = np.where(total > 0, x @ params.evidence.T, 1.0) ** np.asarray(weight)[..., None]
+    evidence = np.where(total > 0, x @ params.evidence.T, 1.0)
     posterior = evidence * predicted
     mass = posterior.sum(axis=-1, keepdims=True)
     posterior = np.where(mass > 0, posterior, evidence)

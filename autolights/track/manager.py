@@ -1,27 +1,43 @@
 """All tracks: observations of several cameras in, one estimate per light out (Wu et al. 2023, Sec. III-C)."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from autolights.core import (
+    BoolArray,
     CameraView,
     FloatArray,
     HmmParameters,
+    IntArray,
     LightEstimate,
     SignalSet,
     TrafficLightMap,
 )
+from autolights.core.errors import DataError
 from autolights.track.config import TrackConfig
-from autolights.track.hmm_filter import hmm_predict, hmm_update
 from autolights.track.linking import link_across_cameras
 from autolights.track.localization import localization_information
-from autolights.track.observation import CameraObservation, Sighting
+from autolights.track.observation import CameraObservation
+from autolights.track.paper_states import PaperStates
 from autolights.track.projection import ANY_TYPE
-from autolights.track.states import TypeStates
-from autolights.track.track import Track
+from autolights.track.signal_groups import group_numbers
+from autolights.track.states import LightStates, Looks, Reports
+from autolights.track.timed_states import TimedStates
+from autolights.track.track_table import TrackTable
+
+STATE_FORMAT = 1
+_MOVED_M = 0.01  # a light of the index is placed anew once it is this far from where it stands there
+
+
+class _Seen(NamedTuple):
+    """What one image told: detections of tracks, and tracks that it should have shown but did not."""
+
+    observation: CameraObservation
+    rows: IntArray
+    detections: IntArray
+    missed: IntArray
 
 
 class TrackManager:
@@ -40,18 +56,31 @@ class TrackManager:
         self._lights = lights
         self._signals = signals
         self._config = config
-        self._states = {name: TypeStates.of(name, signals, hmm[name]) for name in signals.types}
-        self._class_types = [signals.type_of[name] for name in signals.classes]
-        self._mapped: dict[int, Track] = {}
-        self._unmapped: list[Track] = []
-        self._unmapped_lights = _as_map([], signals)
+        self._type_names = list(signals.types)
+        self._class_types = np.array([self._type_names.index(signals.type_of[name]) for name in signals.classes])
+        self._heights_m = np.array([signals.types[name].height_m for name in self._type_names])
+        self._map_types = np.array([self._type_names.index(name) for name in lights.types], dtype=np.int64)
+        self._map_groups = group_numbers(lights)
+        self._table = TrackTable.empty(len(self._type_names))
+        make = TimedStates if config.mode == "timed" else PaperStates
+        self._states: LightStates = make(signals, hmm, config)
+        self._row_of_light = np.full(len(lights), -1, dtype=np.int64)
+        self._unmapped_rows: IntArray = np.empty(0, dtype=np.int64)
+        self._touched = np.empty(0, dtype=bool)
+        self._unmapped_lights = self._index()
+        self._views: dict[int, list[CameraView]] = {}
         self._last_set_ns: int | None = None
         self._next_id = 0
+        self._reports: Reports | None = None
 
     @property
     def unmapped(self) -> TrafficLightMap:
         """Lights that the map does not hold, tentative ones too: projected and associated exactly like map lights."""
         return self._unmapped_lights
+
+    def __len__(self) -> int:
+        """How many lights are remembered."""
+        return len(self._table)
 
     def update(self, observations: Sequence[CameraObservation], stamp_ns: int) -> list[LightEstimate]:
         """Take in one set of frames.
@@ -69,243 +98,340 @@ class TrackManager:
         """
         if self._last_set_ns is not None and stamp_ns < self._last_set_ns:
             raise ValueError(f"sets must come in the order of time, got {stamp_ns} after {self._last_set_ns}")
-        self._let_time_pass(stamp_ns)
+        elapsed_ns = 0 if self._last_set_ns is None else stamp_ns - self._last_set_ns
+        self._last_set_ns = stamp_ns
+        self._views = {}
+        self._states.let_time_pass(stamp_ns)
         ordered = sorted(observations, key=lambda observation: (observation.stamp_ns, observation.camera.name))
-        for observation in ordered:
-            self._take_in(observation, stamp_ns)
-        self._start_tracks(ordered, stamp_ns)
-        self._end_set(stamp_ns)
-        return self._estimates(ordered, stamp_ns)
+        self._touched = np.zeros(len(self._table), dtype=bool)
+        seen = [self._match(observation, stamp_ns) for observation in ordered]
+        seen += self._start_tracks(ordered, stamp_ns)
+        self._states.take_in([self._looks(sight) for sight in seen])
+        self._count_set(seen, stamp_ns, elapsed_ns)
+        estimates = self._estimates(ordered, stamp_ns)
+        self._forget(stamp_ns)
+        return estimates
 
     def explain(self) -> list[dict[str, Any]]:
-        """The belief behind each track, as JSON-ready values."""
-        return [
-            {
-                "track_id": track.id,
-                "map_id": None if track.map_row is None else self._lights.ids[track.map_row],
-                "belief": dict(
-                    zip(self._states[track.type].params.states, np.round(track.belief, 4).tolist(), strict=True)
-                ),
-                "alive": track.alive,
-                "hits": track.hits,
-                "misses": track.misses,
-            }
-            for track in self._tracks()
-        ]
-
-    def _tracks(self) -> list[Track]:
-        return [*self._mapped.values(), *self._unmapped]
-
-    def _let_time_pass(self, stamp_ns: int) -> None:
-        elapsed_s = 0.0 if self._last_set_ns is None else (stamp_ns - self._last_set_ns) / 1e9
-        self._last_set_ns = stamp_ns
-        for track in self._tracks():
-            track.views.clear()
-        if self._config.mode == "timed":
-            for states, tracks in self._by_type(self._tracks()):
-                _set_beliefs(tracks, hmm_predict(_beliefs(tracks), states.params, elapsed_s))
-
-    def _take_in(self, observation: CameraObservation, set_ns: int) -> None:
-        """Give each detection that was matched to its track; note who was expected in vain."""
-        projected, detections = observation.projected, observation.detections
-        seen: list[tuple[Track, int]] = []
-        for light, detection in observation.association.matches.tolist():
-            track = self._track_at(int(projected.indices[light]), set_ns)
-            track.views.append(_view(observation, detection))
-            seen.append((track, detection))
-        for light in observation.association.unmatched_lights[
-            projected.expected[observation.association.unmatched_lights]
-        ].tolist():
-            row = int(projected.indices[light])
-            missed = self._mapped.get(row) if row < len(self._lights) else self._unmapped[row - len(self._lights)]
-            if missed is not None:
-                missed.views.append(CameraView(observation.camera.name, observation.stamp_ns, None))
-
-        class_ids = detections.class_ids
-        for track, detection in seen:
-            self._remember(track, observation, detection, int(class_ids[detection]), set_ns)
-        # An unmapped light may be seen as another type than it was voted: that tells nothing about its state.
-        telling = [(t, d) for t, d in seen if self._class_types[class_ids[d]] == t.type]
-        self._update_beliefs(telling, detections.class_probs, set_ns)
-
-    def _track_at(self, row: int, set_ns: int) -> Track:
-        """The track of a known light; a map light gets one at its first detection."""
-        if row >= len(self._lights):
-            track = self._unmapped[row - len(self._lights)]
-        elif row in self._mapped:
-            track = self._mapped[row]
-        else:
-            light_type = self._lights.types[row]
-            track = self._mapped[row] = Track(
-                id=self._take_id(),
-                map_row=row,
-                type=light_type,
-                position=self._lights.positions[row],
-                information=None,
-                heading_deg=float(self._lights.headings_deg[row]),
-                belief=self._states[light_type].params.initial,
-                last_seen_ns=set_ns,
-                last_set_ns=set_ns,
+        """What is known of each light and which rule made its report, as JSON-ready values."""
+        table, set_ns = self._table, self._last_set_ns or 0
+        ages_s, stale = table.age_s(set_ns).tolist(), table.stale(set_ns, self._config).tolist()
+        told = []
+        for row in range(len(table)):
+            map_row = int(table.map_rows[row])
+            told.append(
+                {
+                    "track_id": int(table.ids[row]),
+                    "map_id": None if map_row < 0 else self._lights.ids[map_row],
+                    "alive": bool(table.alive[row]),
+                    "hits": int(table.hits[row]),
+                    "misses": int(table.misses[row]),
+                    "rule": self._rule(row, ages_s[row], stale[row]),
+                    **self._states.explain(row),
+                }
             )
-        if track.starts_anew and not track.views:
-            track.belief = self._states[track.type].params.initial
-        return track
+        return told
 
-    def _remember(
-        self, track: Track, observation: CameraObservation, detection: int, class_id: int, set_ns: int
-    ) -> None:
-        _, top, _, bottom = observation.detections.boxes_xyxy[detection]
-        track.remember(Sighting(set_ns, class_id, float(bottom - top)), self._class_types[class_id], self._config)
-        if track.map_row is not None:
-            return
-        voted = max(track.type_votes, key=lambda name: (track.type_votes[name], name == track.type))
-        if voted != track.type:
-            track.type, track.belief = voted, self._states[voted].params.initial
-        track.refine_position(observation.positions[detection], self._information(observation, detection))
+    def to_json(self) -> dict[str, Any]:
+        """All that is remembered, as JSON-ready values; `restore` goes on from there with equal estimates."""
+        map_rows = self._table.map_rows.tolist()
+        return {
+            "format": STATE_FORMAT,
+            "signals": self._signals.name,
+            "config": self._config.model_dump(mode="json"),
+            "last_set_ns": self._last_set_ns,
+            "next_id": self._next_id,
+            "map_ids": [None if row < 0 else self._lights.ids[row] for row in map_rows],
+            "tracks": self._table.to_json(),
+            "index": {"rows": self._unmapped_rows.tolist(), "positions": self._unmapped_lights.positions.tolist()},
+            "states": self._states.to_json(),
+        }
 
-    def _update_beliefs(self, seen: Sequence[tuple[Track, int]], class_probs: FloatArray, set_ns: int) -> None:
-        row_of = {track.id: detection for track, detection in seen}
-        for states, tracks in self._by_type([track for track, _ in seen]):
-            rows = [row_of[track.id] for track in tracks]
-            beliefs = _beliefs(tracks)
-            if self._config.mode == "paper":  # one fixed A per observation
-                beliefs = hmm_predict(beliefs, states.params, None)
-            weight = np.array([self._independence(track, set_ns) for track in tracks])
-            x = class_probs[rows][:, states.class_ids]
-            _set_beliefs(tracks, hmm_update(beliefs, x, states.params, weight=weight))
+    def restore(self, values: dict[str, Any]) -> None:
+        """Go on from where `to_json` left off.
 
-    def _independence(self, track: Track, set_ns: int) -> float:
-        correlation_s = self._config.error_correlation_s
-        if self._config.mode == "paper" or correlation_s == 0 or track.starts_anew:
-            return 1.0
-        return min(1.0, track.age_s(set_ns) / correlation_s)
+        Raises:
+            DataError: If the state is of another format, signal description, map or setting, or is damaged.
+        """
+        if values.get("format") != STATE_FORMAT:
+            raise DataError(f"tracking state: format {values.get('format')!r} is not {STATE_FORMAT}; start without it")
+        try:
+            self._check_same("signals", values["signals"], self._signals.name)
+            for name, ours in self._config.model_dump(mode="json").items():
+                self._check_same(f"setting track.{name}", values["config"].get(name), ours)
+            row_of_id = {light_id: row for row, light_id in enumerate(self._lights.ids)}
+            unknown = [light_id for light_id in values["map_ids"] if light_id is not None and light_id not in row_of_id]
+            if unknown:
+                raise DataError(f"tracking state: light '{unknown[0]}' is not on the map; start without the state")
+            table = TrackTable.from_json(values["tracks"], len(self._type_names))
+            table.map_rows = np.array(
+                [-1 if light_id is None else row_of_id[light_id] for light_id in values["map_ids"]], dtype=np.int64
+            )
+            self._states.restore(values["states"], table.types.copy())
+            rows = np.array(values["index"]["rows"], dtype=np.int64)
+            self._table, self._unmapped_rows = table, rows
+            self._unmapped_lights = self._index(np.array(values["index"]["positions"]).reshape(-1, 3))
+            self._last_set_ns, self._next_id = values["last_set_ns"], int(values["next_id"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"tracking state: damaged ({type(error).__name__}: {error}); start without it") from error
+        self._row_of_light[:] = -1
+        self._place_map_lights()
+        self._views, self._reports = {}, None
 
-    def _start_tracks(self, observations: Sequence[CameraObservation], set_ns: int) -> None:
-        """Make tentative tracks of the detections that nobody knew; what two cameras see twice becomes one."""
-        fresh: list[Track] = []
-        for observation in observations:
-            candidates = list(fresh)
-            rows = observation.new_lights
-            if not len(rows):
-                continue
-            places = np.array([track.position for track in fresh]).reshape(-1, 3)
-            linked = link_across_cameras(places, observation.positions[rows], observation.pose.position)
-            class_ids = observation.detections.class_ids
-            seen: list[tuple[Track, int]] = []
-            for i, detection in enumerate(rows.tolist()):
-                class_id = int(class_ids[detection])
-                if i in linked:
-                    track = candidates[linked[i]]
-                    self._remember(track, observation, detection, class_id, set_ns)
-                else:
-                    track = self._new_track(observation, detection, class_id, set_ns)
-                    fresh.append(track)
-                track.views.append(_view(observation, detection))
-                if track.type == self._class_types[class_id]:
-                    seen.append((track, detection))
-            self._update_beliefs(seen, observation.detections.class_probs, set_ns)
-        self._unmapped += fresh
+    def _check_same(self, what: str, saved: object, ours: object) -> None:
+        if saved != ours:
+            raise DataError(f"tracking state: {what} was {saved!r} when it was saved and is {ours!r} now")
 
-    def _new_track(self, observation: CameraObservation, detection: int, class_id: int, set_ns: int) -> Track:
-        light_type = self._class_types[class_id]
-        position = observation.positions[detection]
-        to_vehicle = observation.pose.position - position
-        track = Track(
-            id=self._take_id(),
-            map_row=None,
-            type=light_type,
-            position=position,
-            information=self._information(observation, detection),
-            heading_deg=float(np.degrees(np.arctan2(to_vehicle[0], to_vehicle[1]))),
-            belief=self._states[light_type].params.initial,
-            last_seen_ns=set_ns,
-            last_set_ns=set_ns,
+    def _match(self, observation: CameraObservation, set_ns: int) -> _Seen:
+        """Give each detection that was matched to its track; note who was expected in vain."""
+        projected, association, on_map = observation.projected, observation.association, len(self._lights)
+        lights, detections = association.matches[:, 0], association.matches[:, 1]
+        known = projected.indices[lights]
+        new = known[(known < on_map)]
+        new = new[self._row_of_light[new] < 0]
+        if len(new):
+            self._start_map_tracks(new, set_ns)
+        rows = self._rows_of(known)
+        boxes = observation.detections.boxes_xyxy
+        camera, stamp_ns = observation.camera.name, observation.stamp_ns
+        for row, box in zip(rows.tolist(), boxes[detections].tolist(), strict=True):
+            self._views.setdefault(row, []).append(CameraView(camera, stamp_ns, tuple(box)))
+
+        left = association.unmatched_lights
+        left = left[projected.expected[left]]
+        missed = self._rows_of(projected.indices[left])
+        tracked = missed >= 0
+        left, missed = left[tracked], missed[tracked]
+        for row in missed.tolist():
+            self._views.setdefault(row, []).append(CameraView(camera, stamp_ns, None))
+        telling = missed
+        if len(missed):
+            expected = projected.boxes_xyxy[left]
+            tall = expected[:, 3] - expected[:, 1] >= self._config.min_missed_px
+            telling = missed[tall & ~_any_overlap(expected, boxes)]
+        self._remember(rows, observation, detections)
+        return _Seen(observation, rows, detections, telling)
+
+    def _rows_of(self, known: IntArray) -> IntArray:
+        """Rows of the table for rows of map and index; −1 for a map light that has no track."""
+        rows = np.empty(len(known), dtype=np.int64)
+        on_map = known < len(self._lights)
+        rows[on_map] = self._row_of_light[known[on_map]]
+        rows[~on_map] = self._unmapped_rows[known[~on_map] - len(self._lights)]
+        return rows
+
+    def _start_map_tracks(self, map_rows: IntArray, set_ns: int) -> None:
+        m = len(map_rows)
+        self._append(
+            map_rows=map_rows,
+            types=self._map_types[map_rows],
+            positions=self._lights.positions[map_rows],
+            information=np.zeros((m, 3, 3)),
+            headings_deg=self._lights.headings_deg[map_rows],
+            set_ns=set_ns,
         )
-        _, top, _, bottom = observation.detections.boxes_xyxy[detection]
-        track.remember(Sighting(set_ns, class_id, float(bottom - top)), light_type, self._config)
-        return track
+
+    def _append(self, *, map_rows: IntArray, types: IntArray, set_ns: int, **columns: FloatArray) -> IntArray:
+        ids = self._next_id + 1 + np.arange(len(map_rows))
+        self._next_id += len(map_rows)
+        rows = self._table.append(ids=ids, map_rows=map_rows, types=types, set_ns=set_ns, **columns)
+        groups = np.full(len(rows), -1, dtype=np.int64)
+        on_map = map_rows >= 0
+        groups[on_map] = self._map_groups[map_rows[on_map]]
+        self._row_of_light[map_rows[on_map]] = rows[on_map]
+        self._states.append(types, groups)
+        self._touched = np.concatenate([self._touched, np.ones(len(rows), dtype=bool)])
+        return rows
+
+    def _remember(self, rows: IntArray, observation: CameraObservation, detections: IntArray) -> None:
+        """Let lights that come back start anew; let unmapped ones be placed and typed by what was seen."""
+        table = self._table
+        anew = rows[table.starts_anew[rows] & ~self._touched[rows]]
+        if len(anew):
+            self._states.start_anew(anew, table.types[anew])
+        self._touched[rows] = True
+        unmapped = np.flatnonzero(table.map_rows[rows] < 0)
+        class_types = self._class_types[observation.detections.class_ids[detections]]
+        for i in unmapped.tolist():
+            row, detection, seen_type = int(rows[i]), int(detections[i]), int(class_types[i])
+            votes = table.type_votes[row]
+            votes[seen_type] += 1
+            voted = int(table.types[row])
+            if votes.max() > votes[voted]:
+                voted = int(np.argmax(votes))
+                table.types[row] = voted
+                self._states.start_anew(np.array([row]), np.array([voted]))
+            table.refine_position(row, observation.positions[detection], self._information(observation, detection))
+
+    def _start_tracks(self, observations: Sequence[CameraObservation], set_ns: int) -> list[_Seen]:
+        """Make tentative tracks of the detections that nobody knew; what two cameras see twice becomes one."""
+        fresh: IntArray = np.empty(0, dtype=np.int64)
+        seen = []
+        for observation in observations:
+            detections = observation.new_lights
+            if not len(detections):
+                continue
+            linked = link_across_cameras(
+                self._table.positions[fresh], observation.positions[detections], observation.pose.position
+            )
+            rows = np.array([fresh[linked[i]] if i in linked else -1 for i in range(len(detections))])
+            again = rows >= 0
+            self._remember(rows[again], observation, detections[again])
+            rows[~again] = self._new_tracks(observation, detections[~again], set_ns)
+            fresh = np.concatenate([fresh, rows[~again]])
+            for row, box in zip(rows.tolist(), observation.detections.boxes_xyxy[detections].tolist(), strict=True):
+                view = CameraView(observation.camera.name, observation.stamp_ns, tuple(box))
+                self._views.setdefault(row, []).append(view)
+            seen.append(_Seen(observation, rows, detections, rows[:0]))
+        return seen
+
+    def _new_tracks(self, observation: CameraObservation, detections: IntArray, set_ns: int) -> IntArray:
+        types = self._class_types[observation.detections.class_ids[detections]]
+        positions = observation.positions[detections]
+        east, north, _ = (observation.pose.position - positions).T
+        rows = self._append(
+            map_rows=np.full(len(detections), -1, dtype=np.int64),
+            types=types,
+            positions=positions,
+            information=np.array([self._information(observation, i) for i in detections.tolist()]).reshape(-1, 3, 3),
+            headings_deg=np.degrees(np.arctan2(east, north)),
+            set_ns=set_ns,
+        )
+        self._table.type_votes[rows, types] += 1
+        return rows
 
     def _information(self, observation: CameraObservation, detection: int) -> FloatArray:
-        light_type = self._class_types[int(observation.detections.class_ids[detection])]
+        seen_type = self._class_types[observation.detections.class_ids[detection]]
         return localization_information(
             observation.positions[detection],
-            self._signals.types[light_type].height_m,
+            float(self._heights_m[seen_type]),
             observation.camera,
             observation.pose,
             box_sigma_px=self._config.box_sigma_px,
         )
 
-    def _end_set(self, set_ns: int) -> None:
-        for track in self._tracks():
-            track.end_set(set_ns, self._config)
+    def _looks(self, seen: _Seen) -> Looks:
+        """What a camera says about states: a light that is seen as another type than its own says nothing."""
+        found = seen.observation.detections
+        telling = self._class_types[found.class_ids[seen.detections]] == self._table.types[seen.rows]
+        detections = seen.detections[telling]
+        boxes = found.boxes_xyxy[detections]
+        return Looks(seen.rows[telling], found.class_probs[detections], boxes[:, 3] - boxes[:, 1], seen.missed)
+
+    def _count_set(self, seen: Sequence[_Seen], set_ns: int, elapsed_ns: int) -> None:
+        detected, expected = np.zeros((2, len(self._table)), dtype=bool)
+        for sight in seen:
+            detected[sight.rows] = True
+        expected[list(self._views)] = True
+        self._table.end_set(detected, expected, set_ns, elapsed_ns, self._config)
+        self._states.end_set(self._table.alive)
+
+    def _forget(self, set_ns: int) -> None:
+        """Drop false alarms and the longest unseen; place what is left of the unmapped lights anew."""
+        table = self._table
         # A false alarm seldom comes twice in one place: a candidate that fails to return was one.
-        self._unmapped = [
-            track
-            for track in self._unmapped
-            if track.known or (track.hits > 0 and track.age_s(set_ns) <= self._config.max_coast_s)
-        ]
-        self._mapped = {row: track for row, track in self._mapped.items() if track.known or track.hits > 0}
-        self._unmapped_lights = _as_map(self._unmapped, self._signals)
+        candidate = (table.hits > 0) & ((table.map_rows >= 0) | (table.age_s(set_ns) <= self._config.max_coast_s))
+        kept = np.flatnonzero(table.known | candidate)
+        if len(kept) > self._config.max_tracks:
+            latest = np.argsort(-table.last_seen_ns[kept], kind="stable")[: self._config.max_tracks]
+            kept = kept[np.sort(latest)]
+        if len(kept) < len(table):
+            self._row_of_light[table.map_rows[table.map_rows >= 0]] = -1
+            table.keep(kept)
+            self._states.keep(kept)
+            self._place_map_lights()
+            place = dict(zip(kept.tolist(), range(len(kept)), strict=True))
+            self._views = {place[row]: views for row, views in self._views.items() if row in place}
+            if self._reports is not None:
+                self._reports = self._reports.take(kept)
+        rows = np.flatnonzero(table.map_rows < 0)
+        held = self._unmapped_lights
+        same = len(kept) == len(self._touched) and np.array_equal(rows, self._unmapped_rows)
+        if not (same and (np.abs(table.positions[rows] - held.positions) <= _MOVED_M).all()):
+            self._unmapped_rows = rows
+            self._unmapped_lights = self._index()
 
-    def _estimates(self, observations: Sequence[CameraObservation], set_ns: int) -> list[LightEstimate]:
-        if not observations:
-            return []
-        vehicle = observations[-1].pose.position
-        reported = [
-            track
-            for track in self._tracks()
-            if track.known and (track.views or track.age_s(set_ns) <= self._config.max_coast_s)
-        ]
-        return [self._estimate(track, vehicle, set_ns) for track in sorted(reported, key=lambda track: track.id)]
+    def _place_map_lights(self) -> None:
+        on_map = np.flatnonzero(self._table.map_rows >= 0)
+        self._row_of_light[self._table.map_rows[on_map]] = on_map
 
-    def _estimate(self, track: Track, vehicle: FloatArray, set_ns: int) -> LightEstimate:
-        state = self._states[track.type].report(track.belief, track.history)
-        return LightEstimate(
-            stamp_ns=set_ns,
-            track_id=track.id,
-            map_id=None if track.map_row is None else self._lights.ids[track.map_row],
-            type=track.type,
-            class_name=state.class_name,
-            probability=state.probability,
-            flashing=state.flashing,
-            withheld=track.is_stale(set_ns, self._config),
-            position=track.position,
-            covariance=None if track.information is None else np.linalg.inv(track.information),
-            distance_m=math.dist(track.position, vehicle),
-            last_seen_ns=track.last_seen_ns,
-            views=tuple(track.views),
+    def _index(self, positions: FloatArray | None = None) -> TrafficLightMap:
+        table, rows = self._table, self._unmapped_rows
+        return TrafficLightMap(
+            ids=tuple(map(str, table.ids[rows].tolist())),
+            types=(ANY_TYPE,) * len(rows),
+            positions=table.positions[rows] if positions is None else positions,
+            headings_deg=table.headings_deg[rows],
+            sizes_m=self._signals.sizes_m(self._type_names[t] for t in table.types[rows]),
         )
 
-    def _by_type(self, tracks: Sequence[Track]) -> Iterator[tuple[TypeStates, list[Track]]]:
-        for name, states in self._states.items():
-            group = [track for track in tracks if track.type == name]
-            if group:
-                yield states, group
+    def _estimates(self, observations: Sequence[CameraObservation], set_ns: int) -> list[LightEstimate]:
+        self._reports = reports = self._states.report()
+        if not observations:
+            return []
+        table, classes = self._table, self._signals.classes
+        in_view = np.zeros(len(table), dtype=bool)
+        in_view[list(self._views)] = True
+        rows = np.flatnonzero(table.known & (in_view | (table.age_s(set_ns) <= self._config.max_coast_s)))
+        withheld = table.stale(set_ns, self._config) | reports.doubtful
+        offsets = table.positions[rows] - observations[-1].pose.position
+        columns = zip(
+            rows.tolist(),
+            table.ids[rows].tolist(),
+            table.map_rows[rows].tolist(),
+            table.types[rows].tolist(),
+            reports.class_ids[rows].tolist(),
+            reports.probability[rows].tolist(),
+            reports.flashing[rows].tolist(),
+            withheld[rows].tolist(),
+            np.sqrt(np.einsum("ij,ij->i", offsets, offsets)).tolist(),
+            table.last_seen_ns[rows].tolist(),
+            strict=True,
+        )
+        return [
+            LightEstimate(
+                stamp_ns=set_ns,
+                track_id=track_id,
+                map_id=None if map_row < 0 else self._lights.ids[map_row],
+                type=self._type_names[type_index],
+                class_name=classes[class_id],
+                probability=probability,
+                flashing=flashing,
+                withheld=hold,
+                position=table.positions[row].copy(),
+                covariance=None if map_row >= 0 else np.linalg.inv(table.information[row]),
+                distance_m=distance_m,
+                last_seen_ns=last_seen_ns,
+                views=tuple(self._views.get(row, ())),
+            )
+            for (
+                row,
+                track_id,
+                map_row,
+                type_index,
+                class_id,
+                probability,
+                flashing,
+                hold,
+                distance_m,
+                last_seen_ns,
+            ) in columns
+        ]
 
-    def _take_id(self) -> int:
-        self._next_id += 1
-        return self._next_id
+    def _rule(self, row: int, age_s: float, stale: bool) -> str:
+        """What decided over the latest report of a light."""
+        table, config = self._table, self._config
+        if not table.known[row]:
+            return f"not born: {table.hits[row]} of {config.birth_hits} detections in a row"
+        if stale:
+            return f"withheld: not seen for {age_s:.2f} s"
+        said = "restored" if self._reports is None else self._reports.rules[row]
+        return said if age_s == 0 else f"{said}; coasting for {age_s:.2f} s"
 
 
-def _beliefs(tracks: Sequence[Track]) -> FloatArray:
-    return np.stack([track.belief for track in tracks])
-
-
-def _set_beliefs(tracks: Sequence[Track], beliefs: FloatArray) -> None:
-    for track, belief in zip(tracks, beliefs, strict=True):
-        track.belief = belief
-
-
-def _view(observation: CameraObservation, detection: int) -> CameraView:
-    left, top, right, bottom = observation.detections.boxes_xyxy[detection].tolist()
-    return CameraView(observation.camera.name, observation.stamp_ns, (left, top, right, bottom))
-
-
-def _as_map(tracks: Sequence[Track], signals: SignalSet) -> TrafficLightMap:
-    return TrafficLightMap(
-        ids=tuple(str(track.id) for track in tracks),
-        types=(ANY_TYPE,) * len(tracks),
-        positions=np.array([track.position for track in tracks]).reshape(-1, 3),
-        headings_deg=np.array([track.heading_deg for track in tracks]),
-        sizes_m=signals.sizes_m(track.type for track in tracks),
-    )
+def _any_overlap(boxes: FloatArray, others: FloatArray) -> BoolArray:
+    """(n,) whether any of (m, 4) other boxes touches each of (n, 4) boxes: what is detected there may hide it."""
+    lows = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    highs = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    touching = np.all(highs > lows, axis=2)
+    return np.asarray(touching.any(axis=1), dtype=np.bool_)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -64,17 +64,3 @@ def explain_observation(
         "matches": observation.association.matches.tolist(),
         "new_lights": observation.new_lights.tolist(),
     }
-
-
-class Sighting(NamedTuple):
-    """One detection in a track's memory, unfiltered (the paper's O_f).
-
-    Attributes:
-        set_ns: Stamp of the set of frames.
-        class_id: Most probable class.
-        height_px: Of the box.
-    """
-
-    set_ns: int
-    class_id: int
-    height_px: float

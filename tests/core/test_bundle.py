@@ -78,9 +78,9 @@ def test_incomplete_bundle(folder, name):
     ("change", "message"),
     [
         pytest.param(
-            {"format_version": 3}, r"manifest\.json: format 3 is newer than 2; upgrade autolights", id="newer"
+            {"format_version": 4}, r"manifest\.json: format 4 is newer than 3; upgrade autolights", id="newer"
         ),
-        pytest.param({"format_version": 1}, r"manifest\.json: format 1 is older than 2; make it again", id="older"),
+        pytest.param({"format_version": 1}, r"manifest\.json: format 1 is older than 3; make it again", id="older"),
         pytest.param({"format_version": None}, r"manifest\.json: no format_version; is this a bundle\?", id="none"),
         pytest.param({"colour": "red"}, r"manifest\.json: colour: Extra inputs are not permitted", id="unknown-key"),
         pytest.param({"model": {}}, r"manifest\.json: model.classes: Field required", id="field"),

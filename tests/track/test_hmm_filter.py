@@ -57,13 +57,15 @@ def test_time_does_not_run_backwards(params: HmmParameters) -> None:
 def test_no_information_changes_nothing(params: HmmParameters) -> None:
     belief = np.random.default_rng(0).dirichlet(np.ones(len(params.states)))
     np.testing.assert_allclose(hmm_update(belief, np.zeros_like(belief), params), belief)
-    np.testing.assert_allclose(hmm_update(belief, np.eye(len(belief))[0], params, weight=0.0), belief)
 
 
-def test_two_half_observations_are_one(params: HmmParameters) -> None:
-    belief, x = params.initial, np.eye(len(params.states))[1]
-    halves = hmm_update(hmm_update(belief, x, params, weight=0.5), x, params, weight=0.5)
-    np.testing.assert_allclose(halves, hmm_update(belief, x, params))
+def test_temperature_comes_before_the_evidence(params: HmmParameters) -> None:
+    k = len(params.states)
+    x = np.random.default_rng(2).dirichlet(np.ones(k))
+    softer = x**0.5 / (x**0.5).sum()
+    np.testing.assert_allclose(
+        hmm_update(params.initial, x, replace(params, temperature=2.0)), hmm_update(params.initial, softer, params)
+    )
 
 
 def test_what_the_model_calls_impossible_is_believed_afresh(params: HmmParameters) -> None:
@@ -79,10 +81,9 @@ def test_beliefs_sum_to_one_and_inputs_stay(data: st.DataObject) -> None:
     params = HYPOTHESIS_PARAMS
     n, k = data.draw(st.integers(0, 4)), len(params.states)
     x = data.draw(arrays(float, (n, k), elements=st.floats(0, 1)))
-    weight = data.draw(arrays(float, (n,), elements=st.floats(0, 1)))
     belief = np.tile(params.initial, (n, 1))
     given_x, given_belief = x.copy(), belief.copy()
-    posterior = hmm_update(hmm_predict(belief, params, data.draw(st.floats(0, 100))), x, params, weight=weight)
+    posterior = hmm_update(hmm_predict(belief, params, data.draw(st.floats(0, 100))), x, params)
     np.testing.assert_allclose(posterior.sum(axis=-1), 1)
     assert (posterior >= 0).all()
     np.testing.assert_array_equal(x, given_x)

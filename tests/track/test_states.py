@@ -9,29 +9,6 @@ from autolights.core import SignalSet, load_config
 from autolights.core.config import parse_config
 from autolights.pipeline import PipelineConfig
 
-_LAMPS = {
-    color: {"color": color, "shape": "ball", "center": [0.5, y], "movements": ["through"], "meaning": meaning}
-    for color, y, meaning in (("red", 0.2, "stop"), ("green", 0.8, "go"))
-}
-BEACON = {
-    "name": "beacon",
-    "classes": ["b-dark", "b-green", "b-red"],
-    "types": {
-        "b": {
-            "width_m": 0.36,
-            "height_m": 1.07,
-            "depth_m": 0.3,
-            "lamps": _LAMPS,
-            "states": {
-                "b-dark": {"lit": [], "mean_s": 0.46, "next": {"b-red": 1}, "mirror": "b-dark"},
-                "b-green": {"lit": ["green"], "mean_s": 20, "next": {"b-red": 1}, "mirror": "b-green"},
-                "b-red": {"lit": ["red"], "mean_s": 2, "next": {"b-dark": 3, "b-green": 1}, "mirror": "b-red"},
-            },
-            "flashing": [{"on": "b-red", "off": "b-dark", "reported": "b-red", "steady_on": True}],
-        }
-    },
-}
-
 
 @pytest.fixture(params=["default", "paper"])
 def config(request: pytest.FixtureRequest) -> PipelineConfig:
@@ -42,11 +19,11 @@ Watch = Callable[[Callable[[float], str | dict[str, float]], float], list[tuple[
 
 
 @pytest.fixture
-def watch(make_scene: Callable, config: PipelineConfig) -> Watch:
+def watch(make_scene: Callable, config: PipelineConfig, beacon: dict) -> Watch:
     """Look at a light for 8 s: its class and whether it flashes, from the second set on."""
 
     def look(shown: Callable[[float], str | dict[str, float]], rate_hz: float) -> list[tuple[str, bool]]:
-        signals = parse_config(BEACON, SignalSet, source="beacon")
+        signals = parse_config(beacon, SignalSet, source="beacon")
         scene = make_scene({"a": ("b", (55.0, 2.0, 5.0), shown)}, signals=signals, speed_mps=0)
         reports = scene.drive(np.arange(round(8 * rate_hz)) / rate_hz, config)
         return [(light.class_name, light.flashing) for (light,) in reports[1:]]

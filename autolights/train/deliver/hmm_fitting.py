@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy.linalg
 
-from autolights.core import ConfusionMatrix, FloatArray, HmmParameters, SignalSet
+from autolights.core import Certainty, ConfusionMatrix, FloatArray, HmmParameters, SignalSet
 from autolights.core.errors import UsageError
 from autolights.train.deliver.hmm_overrides import TypeOverrides, parse_overrides
 
@@ -89,6 +89,7 @@ def _fit_type(
     observation = tuned.tune_observation(_normalise_rows(smoothed), states)
     state_prior = np.ones(len(states)) if prior == "uniform" else smoothed.sum(axis=1)
     rates = tuned.tune_rates(signals.rates(type_name), states)
+    calibration = confusion.calibration
     return HmmParameters(
         type=type_name,
         states=states,
@@ -107,8 +108,11 @@ def _fit_type(
             "missed_counts": missed.tolist(),
             "score_threshold": confusion.score_threshold,
             "iou_threshold": confusion.iou_threshold,
+            "calibration": None if calibration is None else calibration.to_json(),
             "overrides": tuned.model_dump(mode="json", exclude_defaults=True),
         },
+        temperature=1.0 if calibration is None else calibration.temperature,
+        certainty=Certainty() if calibration is None else calibration.certainty,
     )
 
 

@@ -25,16 +25,21 @@ class Labels:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """What a detector said about one image: (m, 4) boxes in pixels, (m,) class indices, (m,) scores."""
+    """What a detector said about one image: (m, 4) boxes in pixels, (m,) class indices, (m,) scores.
+
+    `class_probs` are the (m, C) sigmoids behind the class, where they are kept.
+    """
 
     boxes_xyxy: FloatArray
     class_ids: IntArray
     scores: FloatArray
+    class_probs: FloatArray | None = None
 
     def above(self, score_threshold: float) -> Self:
         """Those with at least this score."""
         kept = self.scores >= score_threshold
-        return type(self)(self.boxes_xyxy[kept], self.class_ids[kept], self.scores[kept])
+        class_probs = None if self.class_probs is None else self.class_probs[kept]
+        return type(self)(self.boxes_xyxy[kept], self.class_ids[kept], self.scores[kept], class_probs)
 
 
 def save_predictions(path: Path, image_paths: Sequence[Path], predictions: Sequence[Predictions]) -> None:

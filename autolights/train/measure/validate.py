@@ -3,7 +3,7 @@
 `evaluate_detector` gives the figures alone; `detect_dataset` also what they were counted from, for files and pictures.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,12 +13,15 @@ from torch import Tensor, nn
 from torchvision.ops import batched_nms, box_convert
 
 from autolights.core import ConfusionMatrix, FloatArray
+from autolights.core.boxes import match_boxes
+from autolights.core.calibration import Calibration
 from autolights.core.errors import DataError, UsageError
 from autolights.core.progress import say, track
 from autolights.data.image_dataset import ImageDataset
 from autolights.infer.decode import decode
 from autolights.infer.letterbox import InputBuffer, Letterbox, rectangle_for
 from autolights.train.measure.average_precision import average_precision
+from autolights.train.measure.calibration import fit_calibration
 from autolights.train.measure.confusion import count_confusions
 from autolights.train.measure.metrics import DetectionMetrics
 from autolights.train.measure.operating_point import THRESHOLDS, recall_by_height, sweep_thresholds
@@ -82,11 +85,28 @@ class DatasetDetections:
             **vars(average_precision(self.labels, self.predictions, self.dataset.classes)),
             images=len(self.indices),
             labels=sum(len(image.class_ids) for image in self.labels),
-            confusion=ConfusionMatrix(self.dataset.classes, counts, self.score_threshold, iou_threshold),
+            confusion=ConfusionMatrix(
+                self.dataset.classes,
+                counts,
+                self.score_threshold,
+                iou_threshold,
+                _calibration(self.labels, reported, iou_threshold),
+            ),
             heights=recall_by_height(self.labels, reported, iou_threshold=iou_threshold),
             sweep=sweep_thresholds(self.labels, self.reported, iou_threshold=iou_threshold),
             unreadable=tuple(self.dataset.image_paths[i].name for i in self.unreadable),
         )
+
+
+def _calibration(labels: Sequence[Labels], reported: Sequence[Predictions], iou_threshold: float) -> Calibration | None:
+    """What the class probabilities of detected labels are worth."""
+    class_probs, truth_ids = [], []
+    for truth, seen in zip(labels, reported, strict=True):
+        truths, detections = match_boxes(truth.boxes_xyxy, seen.boxes_xyxy, iou_threshold=iou_threshold)
+        if seen.class_probs is not None and len(detections):
+            class_probs.append(seen.class_probs[detections])
+            truth_ids.append(truth.class_ids[truths])
+    return fit_calibration(np.concatenate(class_probs), np.concatenate(truth_ids)) if class_probs else None
 
 
 def evaluate_detector(
@@ -170,7 +190,7 @@ def detect_dataset(
                     seen[i] = (
                         Labels(dataset.boxes_xyxy(i, letterbox.image_wh), dataset.class_ids[i]),
                         decode_every_class(raw, letterbox),
-                        Predictions(reported.boxes_xyxy, reported.class_ids, reported.scores),
+                        Predictions(reported.boxes_xyxy, reported.class_ids, reported.scores, reported.class_probs),
                     )
     finally:
         model.train(was_training)

@@ -63,11 +63,11 @@ def test_other_types_and_background_are_misses():
 def test_time_comes_from_the_signal_description():
     hmm = fit_hmm(COUNTED, SIGNALS, nominal_dt_s=0.05)["3"]
 
-    # green 25 s → yellow 4 s → red 35 s → green
-    rates = np.array([[-1 / 25, 0, 1 / 25], [1 / 35, -1 / 35, 0], [0, 1 / 4, -1 / 4]])
+    # green 15 s → yellow 4 s → red 20 s → green
+    rates = np.array([[-1 / 15, 0, 1 / 15], [1 / 20, -1 / 20, 0], [0, 1 / 4, -1 / 4]])
     np.testing.assert_allclose(hmm.rates, rates)
     np.testing.assert_allclose(hmm.transition, scipy.linalg.expm(rates * 0.05))
-    np.testing.assert_allclose(hmm.initial, np.array([25, 35, 4]) / 64)
+    np.testing.assert_allclose(hmm.initial, np.array([15, 20, 4]) / 39)
     assert hmm.nominal_dt_s == 0.05
 
 

@@ -1,0 +1,213 @@
+"""The forward algorithm on time, where the detector's errors last: hidden state and appearance, estimated together.
+
+A detector that takes a washed-out red for yellow does so for some tenths of a second, frame after frame. Counting each
+frame as an opinion of its own would let such an error win. So a light has an *appearance* a: the class that the
+detector sees in it, and whether it is sure; or nothing at all, it is missed. An appearance stays as it is for
+`error_duration_s` on average and is then drawn anew from row q of B, and so it is when the state q changes; but what
+hides a light goes on to hide it:
+
+    P(q', a' | q, a) = ρ S(q, q') [a' = a] + ρ (A − S)(q, q') B(q', a' | seen) + (1 − ρ) A(q, q') B(q', a')   a seen
+    P(q', a' | q, a) = ρ A(q, q') [a' = a] + (1 − ρ) A(q, q') B(q', a')                                      a missed
+
+with ρ = exp(−Δt / error_duration_s), A(Δt) = expm(Q Δt) and S the share of it that stays in one phase (`HiddenChain`).
+A new look says as much as an independent one; its repetition says little. As ρ → 0, with one certainty and class
+vectors taken as they are, this is the paper's filter with C from B under a uniform prior.
+
+Beliefs are arrays (..., c, K): c = 2 k + 1 appearances (each class seen for sure, each class in doubt, missed) and K
+hidden states.
+
+References:
+    Wu et al. 2023, Sec. III-D; for emissions that depend on the last one: Murphy 2012, ch. 17.6 (autoregressive HMMs).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from autolights.core import FloatArray, HmmParameters, IntArray
+from autolights.track.hidden_chain import HiddenChain
+
+_SLIP = 1e-3  # how often one look shows something else than the appearance, within the same instant
+_SHARPNESS = 4.0  # power of a class vector: an appearance is what the detector says most, and a tie is one
+_DOUBT_WIDTH = 0.02  # how gradually "sure" becomes "in doubt", so that a look on the threshold is not two by turns
+
+
+@dataclass(frozen=True, eq=False)
+class AppearanceFilter:
+    """The filter of one type.
+
+    Attributes:
+        chain: K hidden states.
+        looks: (c, K) P(appearance | hidden state).
+        looks_if_seen: (c − 1, K) the same, given that it is not missed.
+        error_duration_s: How long an appearance lasts; 0 draws it anew for each look.
+        first: (c, K) belief at first sight.
+    """
+
+    chain: HiddenChain
+    looks: FloatArray
+    looks_if_seen: FloatArray
+    error_duration_s: float
+    first: FloatArray
+
+    @classmethod
+    def of(cls, chain: HiddenChain, params: HmmParameters, *, error_duration_s: float) -> Self:
+        """Build the filter.
+
+        Args:
+            chain: Hidden states.
+            params: B, P(missed | state), and how often the detector is sure.
+            error_duration_s: Of an appearance.
+        """
+        seen = params.observation.T * (1 - params.miss_probs)  # (k seen, k states)
+        certainty = params.certainty
+        sure = np.where(np.eye(len(seen), dtype=bool), certainty.sure_if_right, certainty.sure_if_wrong)
+        by_class = np.concatenate([seen * sure, seen * (1 - sure), params.miss_probs[None]])
+        looks = by_class[:, chain.class_of]
+        found = looks[:-1].sum(axis=0)
+        if_seen = np.divide(looks[:-1], found, out=np.zeros_like(looks[:-1]), where=found > 0)
+        return cls(chain, looks, if_seen, error_duration_s, looks * chain.initial)
+
+    def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
+        """Let time pass.
+
+        Args:
+            beliefs: (n, c, K).
+            duration_ms: Since they were made.
+        """
+        change, stay = self.chain.over(duration_ms)
+        rho = self._persistence(duration_ms)
+        moved = beliefs @ (rho * stay)
+        seen = beliefs[:, :-1].sum(axis=1) @ change
+        missed = beliefs[:, -1] @ change
+        moved[:, -1] = rho * missed
+        changed = (rho * seen - moved[:, :-1].sum(axis=1)).clip(min=0)
+        moved += ((1 - rho) * (seen + missed))[:, None, :] * self.looks
+        moved[:, :-1] += changed[:, None, :] * self.looks_if_seen
+        return np.asarray(moved)
+
+    def _persistence(self, duration_ms: int) -> float:
+        return float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
+
+    def update(self, beliefs: FloatArray, likelihood: FloatArray) -> FloatArray:
+        """Take in what cameras saw at one instant.
+
+        Args:
+            beliefs: (n, c, K).
+            likelihood: (n, c) of each appearance, the product over cameras; ones say nothing.
+
+        Returns:
+            (n, c, K). Where the model calls a look impossible, it is believed as at first sight.
+        """
+        posterior = beliefs * likelihood[:, :, None]
+        mass = posterior.sum(axis=(1, 2))
+        if not mass.all():
+            lost = mass == 0
+            posterior[lost] = self.first * likelihood[lost][:, :, None]
+            mass = posterior.sum(axis=(1, 2))
+            posterior[mass == 0] = self.first
+            mass = posterior.sum(axis=(1, 2))
+        return np.asarray(posterior / mass[:, None, None])
+
+    def update_together(self, beliefs: FloatArray, likelihood: FloatArray, groups: FloatArray) -> FloatArray:
+        """`update` for lights of which some show the same state: what is seen of one is evidence for all of its group.
+
+        Appearances are each light's own and, given the state, taken as independent.
+
+        Args:
+            beliefs: (n, c, K); within a group the sums over appearances are equal.
+            likelihood: (n, c).
+            groups: (g, n) 1 where a light belongs to a group; each to exactly one.
+        """
+        before = beliefs.sum(axis=1)
+        posterior = beliefs * likelihood[:, :, None]
+        after = posterior.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            evidence = np.log(np.where(before > 0, after / before, 1.0))
+            state = np.log(before) + groups.T @ (groups @ evidence)
+            best = state.max(axis=1, keepdims=True)
+            state = np.exp(state - np.where(np.isfinite(best), best, 0.0))
+            total = state.sum(axis=1, keepdims=True)
+            factor = np.where(after > 0, state / total / after, 0.0)
+        posterior *= factor[:, None, :]
+        lost = ~(np.abs(posterior.sum(axis=(1, 2)) - 1) < 1e-6)
+        if lost.any():
+            posterior[groups.T @ (groups @ lost) > 0] = self.first
+        return np.asarray(posterior)
+
+
+@dataclass(frozen=True, eq=False)
+class LookReader:
+    """How to read the class vectors of lights of mixed types.
+
+    Attributes:
+        columns: (t, k) for each type the columns of a class vector that are its states; C where it has fewer than k.
+        scale: (t, k) by which a class's probability is multiplied: what many states are taken for says less.
+        temperature: (t,) by which log probabilities are divided, so that they mean what they say.
+        threshold: (t,) calibrated probability from which a detector counts as sure.
+    """
+
+    columns: IntArray
+    scale: FloatArray
+    temperature: FloatArray
+    threshold: FloatArray
+
+    @classmethod
+    def of(cls, params: Sequence[HmmParameters], class_ids: Mapping[str, int]) -> Self:
+        """For these types, in this order."""
+        k = max(len(own.states) for own in params)
+        columns, scale = np.full((len(params), k), len(class_ids)), np.zeros((len(params), k))
+        for t, own in enumerate(params):
+            columns[t, : len(own.states)] = [class_ids[name] for name in own.states]
+            total = own.observation.sum(axis=0)
+            scale[t, : len(own.states)] = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
+        certainty = [own.certainty for own in params]
+        temperature = np.array([own.temperature for own in params])
+        return cls(columns, scale, temperature, np.array([own.threshold for own in certainty]))
+
+    def read(
+        self, class_probs: FloatArray, types: IntArray, *, sharpness: float = _SHARPNESS
+    ) -> tuple[FloatArray, FloatArray]:
+        """Read what one camera's detector says.
+
+        Args:
+            class_probs: (m, C) of all classes; a row that is zero on its type's classes says nothing of the class.
+            types: (m,) index of each light's type.
+            sharpness: Power of the calibrated class vector.
+
+        Returns:
+            (m, k) likelihood of each class being seen, and (m, k) how sure the detector is if that is what it sees. Of
+            several cameras at one instant, the product of the former and the maximum of the latter: they share their
+            errors, but who is sure is seldom wrong.
+        """
+        m = len(types)
+        calibrated = class_probs
+        if (self.temperature != 1).any():
+            calibrated = class_probs ** (1 / self.temperature[types])[:, None]
+        padded = np.zeros((m, class_probs.shape[1] + 1))
+        padded[:, :-1] = calibrated
+        own = np.take_along_axis(padded, self.columns[types], axis=1)
+        best = own.max(axis=1, keepdims=True)
+        whole = calibrated.sum(axis=1, keepdims=True)
+        silent = best == 0
+        if silent.any():
+            own, best, whole = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, whole)
+        margin = (best / whole - self.threshold[types, None]) / _DOUBT_WIDTH
+        sure = np.where(own == best, 1 / (1 + np.exp(-np.clip(margin, -30, 30))), 0.0)
+        sure = np.where(silent, 0.5, sure)
+        return np.asarray((own / best) ** sharpness * self.scale[types]), sure
+
+
+def seen_likelihood(said: FloatArray, sure: FloatArray) -> FloatArray:
+    """(m, 2 k + 1) likelihood of each appearance of lights that were seen, from (m, k) what all cameras said."""
+    slip = np.full((len(said), 1), _SLIP)
+    return np.concatenate([said * sure, said * (1 - sure), slip], axis=1)
+
+
+def miss_likelihood(state_count: int) -> FloatArray:
+    """(2 k + 1,) likelihood of each appearance for a light that was looked for in vain."""
+    likelihood = np.full(2 * state_count + 1, _SLIP)
+    likelihood[-1] = 1.0
+    return likelihood

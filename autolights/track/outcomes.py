@@ -1,0 +1,97 @@
+"""What may be said about a light, and which of it is said: a wrong "go" is dearer than a late one."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, SignalSet
+from autolights.track.hidden_chain import HiddenChain
+
+
+class Outcome(NamedTuple):
+    """One thing that can be said.
+
+    Attributes:
+        class_name: The state; a flashing pair has one name for both phases.
+        flashing: Whether the indication flashes.
+    """
+
+    class_name: str
+    flashing: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What is said about n lights.
+
+    Attributes:
+        outcome: (n,) index.
+        probability: (n,) belief in it.
+        go_held: (n,) whether something that says "go" was more probable, but not certain enough.
+        doubtful: (n,) whether nothing is certain enough to act upon.
+    """
+
+    outcome: IntArray
+    probability: FloatArray
+    go_held: BoolArray
+    doubtful: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """The outcomes of one type.
+
+    Attributes:
+        names: g outcomes.
+        membership: (K, g) 1 where a hidden state belongs to an outcome.
+        contradiction: (g, g) `[i, j]`: 1 where i says "go" to a movement that j tells to stop.
+    """
+
+    names: tuple[Outcome, ...]
+    membership: FloatArray
+    contradiction: FloatArray
+
+    @classmethod
+    def of(cls, type_name: str, signals: SignalSet, params: HmmParameters, chain: HiddenChain) -> Self:
+        """The outcomes of a type.
+
+        The dark phase is reported as its pair. A class outside of a flash keeps its name.
+        """
+        pairs = signals.types[type_name].flashing
+        own = [
+            Outcome(params.states[phase.class_index], False) if phase.pair is None
+            else Outcome(pairs[phase.pair].reported, True)
+            for phase in chain.phases
+        ]  # fmt: skip
+        names = tuple(dict.fromkeys(own))
+        membership = np.array([[float(own[i] == name) for name in names] for i in chain.phase_of])
+        says = [signals.meanings(name.class_name) for name in names]
+        contradiction = np.array(
+            [
+                [float(any(there.get(movement) == "stop" for movement, what in here.items() if what == "go"))
+                 for there in says]
+                for here in says
+            ]
+        )  # fmt: skip
+        return cls(names, membership, contradiction)
+
+    def choose(self, belief: FloatArray, *, max_go_risk: float, min_probability: float) -> Choice:
+        """Choose what to say.
+
+        The most probable outcome, unless it says "go" to a movement and the belief that this movement is told to stop
+        exceeds `max_go_risk`: then the most probable of the others, as a rule what was said before the change. Where
+        that is too doubtful, the most probable outcome is named, but not to be acted upon.
+
+        Args:
+            belief: (n, K).
+            max_go_risk: Largest belief in "stop" under which "go" is said.
+            min_probability: What is less probable is not to be acted upon.
+        """
+        mass = belief @ self.membership
+        risky = mass @ self.contradiction.T > max_go_risk
+        every = np.arange(len(mass))
+        likely, safe = np.argmax(mass, axis=1), np.argmax(np.where(risky, -1.0, mass), axis=1)
+        doubtful = (mass[every, safe] < min_probability) | risky[every, safe]
+        chosen = np.where(doubtful, likely, safe)
+        return Choice(chosen, mass[every, chosen], go_held=chosen != likely, doubtful=doubtful)

@@ -1,0 +1,111 @@
+"""Lights that show the same phase: they share evidence, unless what is seen of them says that they do not."""
+
+from typing import Any
+
+import numpy as np
+
+from autolights.core import BoolArray, FloatArray, IntArray, TrafficLightMap
+
+_AGREE, _DISAGREE = 0.5, 0.1  # probability that a light and its mates show one class
+
+
+def group_numbers(lights: TrafficLightMap) -> IntArray:
+    """(n,) number of each light's signal group; −1 for a light that shows its phase alone or names no group.
+
+    Only lights of one intersection, group and type show the same: an approach may have arrows beside its balls.
+    """
+    members: dict[tuple[str, str, str], list[int]] = {}
+    for row, key in enumerate(zip(lights.intersections, lights.groups, lights.types, strict=True)):
+        if key[1]:
+            members.setdefault(key, []).append(row)
+    numbers = np.full(len(lights), -1, dtype=np.int64)
+    for number, rows in enumerate(rows for rows in members.values() if len(rows) > 1):
+        numbers[rows] = number
+    return numbers
+
+
+def share(own: FloatArray, shared: FloatArray | None, before: IntArray, after: IntArray) -> FloatArray:
+    """Beliefs of lights that join and leave groups of evidence.
+
+    Who joins takes over the group's belief in the state and keeps, given the state, its own in its appearance.
+
+    Args:
+        own: (n, c, K) from each light itself.
+        shared: (n, c, K) from its group until now; None if there was none.
+        before: (n,) group until now; negative for none.
+        after: (n,) from now on.
+    """
+    fresh = own.copy()
+    for group in np.unique(after[after >= 0]):
+        members = np.flatnonzero(after == group)
+        old = members[before[members] == group] if shared is not None else members[:0]
+        if shared is not None and len(old):
+            fresh[old] = shared[old]
+            state = shared[old[0]].sum(axis=0)
+        else:
+            state = own[members[0]].sum(axis=0)
+        for slot in np.setdiff1d(members, old):
+            marginal = own[slot].sum(axis=0)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                fresh[slot] = own[slot] * np.where(marginal > 0, state / marginal, 0.0)
+    return fresh
+
+
+class GroupDisputes:
+    """Which lights are at odds with their group, from their own beliefs alone.
+
+    A light is disputed once its belief has contradicted that of its mates for `after_s` without a break, and is so
+    until they agree. In a pair nobody knows who is right, so both are.
+
+    Args:
+        after_s: Longer than a detector's errors last.
+    """
+
+    def __init__(self, after_s: float) -> None:
+        self._after_ms = after_s * 1000
+        self._since_ms = np.empty(0, dtype=np.int64)
+        self.disputed = np.empty(0, dtype=bool)
+
+    def append(self, count: int) -> None:
+        """Take in new tracks."""
+        self._since_ms = np.concatenate([self._since_ms, np.full(count, -1)])
+        self.disputed = np.concatenate([self.disputed, np.zeros(count, dtype=bool)])
+
+    def keep(self, rows: IntArray) -> None:
+        """Forget all tracks but these."""
+        self._since_ms, self.disputed = self._since_ms[rows], self.disputed[rows]
+
+    def reset(self, rows: IntArray) -> None:
+        """Forget disputes of some tracks."""
+        self._since_ms[rows], self.disputed[rows] = -1, False
+
+    def judge(self, rows: IntArray, groups: IntArray, beliefs: FloatArray, seen: BoolArray, now_ms: int) -> None:
+        """Compare lights of one type.
+
+        Args:
+            rows: (n,) tracks.
+            groups: (n,) of the map; negative for none.
+            beliefs: (n, k) in each class, from each light's own looks.
+            seen: (n,) whether a light lives and was seen in this set; who is not is neither judged nor heard.
+            now_ms: Of this set.
+        """
+        heard = seen & (groups >= 0)
+        mates = (groups[:, None] == groups[None, :]) & heard[:, None] & heard[None, :]
+        np.fill_diagonal(mates, False)
+        count = mates.sum(axis=1)
+        same = ((beliefs @ beliefs.T) * mates).sum(axis=1) / np.maximum(count, 1)
+        odd, fine = rows[(count > 0) & (same < _DISAGREE)], rows[(count > 0) & (same > _AGREE)]
+        self._since_ms[rows[count == 0]] = -1
+        self._since_ms[fine], self.disputed[fine] = -1, False
+        started = odd[self._since_ms[odd] < 0]
+        self._since_ms[started] = now_ms
+        self.disputed[odd[now_ms - self._since_ms[odd] >= self._after_ms]] = True
+
+    def to_json(self) -> dict[str, Any]:
+        """All that is remembered."""
+        return {"since_ms": self._since_ms.tolist(), "disputed": self.disputed.tolist()}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Remember what `to_json` gave."""
+        self._since_ms = np.array(values["since_ms"], dtype=np.int64)
+        self.disputed = np.array(values["disputed"], dtype=bool)

@@ -1,0 +1,330 @@
+"""Mode ``timed``: the beliefs of all tracks of a type are one array, moved through time and updated at once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, SignalSet
+from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
+from autolights.track.config import TrackConfig
+from autolights.track.hidden_chain import HiddenChain
+from autolights.track.outcomes import Outcomes
+from autolights.track.signal_groups import GroupDisputes, share
+from autolights.track.states import Looks, Reports
+
+_MISSED = "missed"
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """All that is fixed about a type."""
+
+    states: tuple[str, ...]
+    filter: AppearanceFilter
+    outcomes: Outcomes
+    outcome_class_ids: IntArray
+    outcome_flashing: BoolArray
+    class_membership: FloatArray  # (K, k)
+    appearances: IntArray  # (c,) among those of the type with most states
+
+    @classmethod
+    def of(cls, name: str, signals: SignalSet, params: HmmParameters, widest: int, config: TrackConfig) -> Self:
+        chain = HiddenChain.of(
+            name,
+            signals,
+            params,
+            stages=config.dwell_stages,
+            odd_changes_per_hour=config.odd_changes_per_hour,
+        )
+        outcomes = Outcomes.of(name, signals, params, chain)
+        k = len(params.states)
+        return cls(
+            states=params.states,
+            filter=AppearanceFilter.of(chain, params, error_duration_s=config.error_duration_s),
+            outcomes=outcomes,
+            outcome_class_ids=np.array([signals.class_ids[outcome.class_name] for outcome in outcomes.names]),
+            outcome_flashing=np.array([outcome.flashing for outcome in outcomes.names]),
+            class_membership=np.eye(len(params.states))[chain.class_of],
+            appearances=np.concatenate([np.arange(k), widest + np.arange(k), [2 * widest]]),
+        )
+
+
+@dataclass(eq=False)
+class _Block:
+    """All tracks of one type.
+
+    Attributes:
+        rows: (n,) of the track table, ascending.
+        own: (n, c, K) beliefs from what was seen of each light itself.
+        shared: (n, c, K) beliefs from what was seen of its group as well; None while no two lights share evidence.
+        joined: (n,) group with which a light shares evidence; negative for none.
+        members: (g, n) 1 where a light belongs to a group of evidence, which may be its own alone.
+    """
+
+    rows: IntArray
+    own: FloatArray
+    shared: FloatArray | None
+    joined: IntArray
+    members: FloatArray
+
+    @property
+    def told(self) -> FloatArray:
+        """What reports are made of."""
+        return self.own if self.shared is None else self.shared
+
+    def take(self, slots: IntArray | BoolArray) -> "_Block":
+        """These lights alone; who shares with whom is settled anew."""
+        shared = None if self.shared is None else self.shared[slots]
+        return _Block(self.rows[slots], self.own[slots], shared, self.joined[slots], np.empty((0, 0))).settled()
+
+    def settled(self) -> "_Block":
+        """With `members` made from `joined`."""
+        alone = self.joined < 0
+        keys = np.where(alone, -1 - np.arange(len(self.joined)), self.joined)
+        _, codes = np.unique(keys, return_inverse=True)
+        self.members = np.eye(int(codes.max(initial=-1)) + 1)[codes].T if len(codes) else np.empty((0, 0))
+        if alone.all():
+            self.shared = None
+        return self
+
+
+class TimedStates:
+    """Beliefs of all tracks: hidden states with dwell times, and how the detector sees them.
+
+    Args:
+        signals: The signal description.
+        hmm: One model per type.
+        config: Of tracking.
+    """
+
+    def __init__(self, signals: SignalSet, hmm: Mapping[str, HmmParameters], config: TrackConfig) -> None:
+        self._config = config
+        widest = max(len(params.states) for params in hmm.values())
+        self._models = [_Model.of(name, signals, hmm[name], widest, config) for name in signals.types]
+        self._reader = LookReader.of([hmm[name] for name in signals.types], signals.class_ids)
+        self._missed = miss_likelihood(widest)
+        self._types: IntArray = np.empty(0, dtype=np.int64)
+        self._groups: IntArray = np.empty(0, dtype=np.int64)
+        self._disputes = GroupDisputes(config.dispute_after_s)
+        self._looked = np.empty(0, dtype=bool)
+        self._blocks = [self._fresh(t, np.empty(0, dtype=np.int64)) for t in range(len(self._models))]
+        self._now_ms: int | None = None
+
+    def append(self, types: IntArray, groups: IntArray) -> None:
+        """Take in new tracks; a group that is negative is none."""
+        rows = len(self._types) + np.arange(len(types))
+        self._types = np.concatenate([self._types, types])
+        self._groups = np.concatenate([self._groups, groups])
+        self._looked = np.concatenate([self._looked, np.zeros(len(types), dtype=bool)])
+        self._disputes.append(len(types))
+        for t in np.unique(types):
+            self._blocks[t] = _join(self._blocks[t], self._fresh(t, rows[types == t]))
+
+    def keep(self, rows: IntArray) -> None:
+        """Forget all tracks but these, ascending."""
+        place = np.full(len(self._types), -1)
+        place[rows] = np.arange(len(rows))
+        self._types, self._groups, self._looked = self._types[rows], self._groups[rows], self._looked[rows]
+        self._disputes.keep(rows)
+        for t, block in enumerate(self._blocks):
+            kept = place[block.rows] >= 0
+            if not kept.all():
+                block = self._blocks[t] = block.take(kept)
+            block.rows = place[block.rows]
+
+    def start_anew(self, rows: IntArray, types: IntArray) -> None:
+        """Forget what is known of some tracks' states; they may have other types now."""
+        self._disputes.reset(rows)
+        for t, block in enumerate(self._blocks):
+            gone = np.isin(block.rows, rows)
+            if gone.any():
+                self._blocks[t] = block.take(~gone)
+        self._types[rows] = types
+        for t in np.unique(types):
+            self._blocks[t] = _join(self._blocks[t], self._fresh(t, np.sort(rows[types == t])))
+
+    def let_time_pass(self, stamp_ns: int) -> None:
+        """Predict to the stamp of a set of frames."""
+        now_ms = round(stamp_ns / 1e6)
+        elapsed_ms = 0 if self._now_ms is None else now_ms - self._now_ms
+        self._now_ms = now_ms
+        if elapsed_ms == 0:
+            return
+        for block, model in zip(self._blocks, self._models, strict=True):
+            if len(block.rows):
+                block.own = model.filter.predict(block.own, elapsed_ms)
+                if block.shared is not None:
+                    block.shared = model.filter.predict(block.shared, elapsed_ms)
+
+    def take_in(self, looks: Sequence[Looks]) -> None:
+        """Update by a set of frames, one entry for each camera.
+
+        That a camera missed a light which another one saw says nothing about its state.
+        """
+        n, k = len(self._types), len(self._missed) // 2
+        said, sure = np.ones((n, k)), np.zeros((n, k))
+        looked = self._looked = np.zeros(n, dtype=bool)
+        for look in looks:
+            if len(look.rows):
+                said_here, sure_here = self._reader.read(look.class_probs, self._types[look.rows])
+                said[look.rows] *= said_here
+                sure[look.rows] = np.maximum(sure[look.rows], sure_here)
+                looked[look.rows] = True
+        likelihood = np.where(looked[:, None], seen_likelihood(said, sure), 1.0)
+        for look in looks:
+            likelihood[look.missed[~looked[look.missed]]] = self._missed
+        for block, model in zip(self._blocks, self._models, strict=True):
+            if len(block.rows):
+                own_likelihood = likelihood[block.rows[:, None], model.appearances]
+                block.own = model.filter.update(block.own, own_likelihood)
+                if block.shared is not None:
+                    block.shared = model.filter.update_together(block.shared, own_likelihood, block.members)
+
+    def end_set(self, alive: BoolArray) -> None:
+        """Say which tracks are alive; only these share evidence."""
+        if not self._config.share_groups or not (self._groups >= 0).any():
+            return
+        now_ms = self._now_ms or 0
+        for block, model in zip(self._blocks, self._models, strict=True):
+            groups = self._groups[block.rows]
+            if not (groups >= 0).any():
+                continue
+            beliefs = block.own.sum(axis=1) @ model.class_membership
+            self._disputes.judge(block.rows, groups, beliefs, alive[block.rows] & self._looked[block.rows], now_ms)
+            may_join = alive[block.rows] & ~self._disputes.disputed[block.rows]
+            joined = np.where(may_join, groups, -1)
+            numbers, counts = np.unique(joined, return_counts=True)
+            joined[~np.isin(joined, numbers[counts > 1])] = -1
+            if not np.array_equal(joined, block.joined):
+                block.shared = share(block.own, block.shared, block.joined, joined)
+                block.joined = joined
+                block.settled()
+
+    def report(self) -> Reports:
+        """What is said of each track."""
+        n = len(self._types)
+        class_ids, flashing = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
+        probability, doubtful, held = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        for block, model in zip(self._blocks, self._models, strict=True):
+            if len(block.rows):
+                choice = model.outcomes.choose(
+                    block.told.sum(axis=1),
+                    max_go_risk=self._config.max_go_risk,
+                    min_probability=self._config.min_probability,
+                )
+                class_ids[block.rows] = model.outcome_class_ids[choice.outcome]
+                flashing[block.rows] = model.outcome_flashing[choice.outcome]
+                probability[block.rows] = choice.probability
+                doubtful[block.rows] = choice.doubtful
+                held[block.rows] = choice.go_held
+        rules = [
+            "nothing is certain enough" if doubt else "a go is held back" if hold else "belief"
+            for doubt, hold in zip(doubtful.tolist(), held.tolist(), strict=True)
+        ]
+        return Reports(class_ids, flashing, probability, doubtful, rules, self._disputes.disputed.copy())
+
+    def explain(self, row: int) -> dict[str, Any]:
+        """Belief in each class, each outcome, the stage of its phase, and how the detector sees the light."""
+        t = int(self._types[row])
+        model, block = self._models[t], self._blocks[t]
+        slot = int(np.flatnonzero(block.rows == row)[0])
+        belief = block.told[slot]
+        state, chain = belief.sum(axis=0), model.filter.chain
+        told = {
+            "belief": dict(zip(model.states, np.round(state @ model.class_membership, 4).tolist(), strict=True)),
+            "outcomes": {
+                name.class_name + (", flashing" if name.flashing else ""): round(float(mass), 4)
+                for name, mass in zip(model.outcomes.names, state @ model.outcomes.membership, strict=True)
+            },
+            "appearance": dict(
+                zip(
+                    (*model.states, *(f"{name}, in doubt" for name in model.states), _MISSED),
+                    np.round(belief.sum(axis=1), 4).tolist(),
+                    strict=True,
+                )
+            ),
+        }
+        phase = int(np.bincount(chain.phase_of, state).argmax())
+        stages = state[chain.phase_of == phase]
+        told["dwell"] = {
+            "phase": model.states[chain.phases[phase].class_index]
+            + (" of a flash" if chain.phases[phase].pair is not None else ""),
+            "min_s": round(chain.phases[phase].min_s, 3),
+            "passed": round(float(stages @ np.arange(len(stages)) / stages.sum() / max(len(stages) - 1, 1)), 3),
+        }
+        if self._groups[row] >= 0:
+            told["group"] = {
+                "shares": block.shared is not None and bool(block.joined[slot] >= 0),
+                "disputed": bool(self._disputes.disputed[row]),
+                "own_belief": dict(
+                    zip(
+                        model.states,
+                        np.round(block.own[slot].sum(axis=0) @ model.class_membership, 4).tolist(),
+                        strict=True,
+                    )
+                ),
+            }
+        return told
+
+    def to_json(self) -> dict[str, Any]:
+        """All that is remembered, as JSON-ready values."""
+        return {
+            "now_ms": self._now_ms,
+            "groups": self._groups.tolist(),
+            "disputes": self._disputes.to_json(),
+            "blocks": [
+                {
+                    "rows": block.rows.tolist(),
+                    "own": block.own.tolist(),
+                    "shared": None if block.shared is None else block.shared.tolist(),
+                    "joined": block.joined.tolist(),
+                }
+                for block in self._blocks
+            ],
+        }
+
+    def restore(self, values: dict[str, Any], types: IntArray) -> None:
+        """Remember what `to_json` gave.
+
+        Raises:
+            ValueError: If the beliefs do not have the shape that these types and settings ask for.
+        """
+        self._now_ms = values["now_ms"]
+        self._types, self._groups = types, np.array(values["groups"], dtype=np.int64)
+        self._looked = np.zeros(len(types), dtype=bool)
+        self._disputes.restore(values["disputes"])
+        blocks = []
+        for t, saved in enumerate(values["blocks"]):
+            shape = self._models[t].filter.first.shape
+            shared = saved["shared"]
+            blocks.append(
+                _Block(
+                    np.array(saved["rows"], dtype=np.int64),
+                    np.array(saved["own"], dtype=np.float64).reshape(-1, *shape),
+                    None if shared is None else np.array(shared, dtype=np.float64).reshape(-1, *shape),
+                    np.array(saved["joined"], dtype=np.int64),
+                    np.empty((0, 0)),
+                ).settled()
+            )
+        self._blocks = blocks
+
+    def _fresh(self, t: int, rows: IntArray) -> _Block:
+        first = self._models[t].filter.first
+        own = np.broadcast_to(first, (len(rows), *first.shape)).copy()
+        return _Block(rows, own, None, np.full(len(rows), -1), np.empty((0, 0)))
+
+
+def _join(block: _Block, more: _Block) -> _Block:
+    """Both, by ascending rows."""
+    rows = np.concatenate([block.rows, more.rows])
+    order = np.argsort(rows)
+    shared = None if block.shared is None else np.concatenate([block.shared, more.own])[order]
+    return _Block(
+        rows[order],
+        np.concatenate([block.own, more.own])[order],
+        shared,
+        np.concatenate([block.joined, more.joined])[order],
+        np.empty((0, 0)),
+    ).settled()

@@ -1,0 +1,203 @@
+"""The filter on hidden states and appearances against the sum over all paths, and what must not matter."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from autolights.core import Certainty, HmmParameters, SignalSet, load_signals
+from autolights.track import hmm_predict, hmm_update
+from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
+from autolights.track.hidden_chain import HiddenChain
+
+SIGNALS = load_signals()
+Hmm = dict[str, HmmParameters]
+
+
+def make_filter(
+    params: HmmParameters, signals: SignalSet = SIGNALS, *, stages: int = 1, error_duration_s: float = 0.4
+) -> AppearanceFilter:
+    chain = HiddenChain.of(params.type, signals, params, stages=stages, odd_changes_per_hour=36.0)
+    return AppearanceFilter.of(chain, params, error_duration_s=error_duration_s)
+
+
+def test_filter_is_the_sum_over_all_paths_of_states_and_appearances(hmm: Hmm) -> None:
+    own = make_filter(replace(hmm["3"], certainty=Certainty(0.8, 0.7, 0.1)))
+    rng = np.random.default_rng(1)
+    k, c = len(own.chain), len(own.looks)
+    # Uneven times, twice the same instant.
+    steps_ms, likelihoods = [100, 0, 330], rng.random((3, c))
+    belief = own.first[None]
+    for duration_ms, likelihood in zip(steps_ms, likelihoods, strict=True):
+        belief = own.update(own.predict(belief, duration_ms), likelihood[None])
+
+    points = [*product(range(c), range(k))]
+    mass = {point: own.first[point] for point in points}
+    for duration_ms, likelihood in zip(steps_ms, likelihoods, strict=True):
+        change = scipy.linalg.expm(own.chain.rates * duration_ms / 1000)
+        stay = scipy.linalg.expm(own.chain.stay_rates * duration_ms / 1000)
+        rho = np.exp(-duration_ms / 400)
+        after = dict.fromkeys(points, 0.0)
+        for (a, q), (b, r) in product(points, points):
+            seen = own.looks[b, r] / own.looks[:-1, r].sum() if b < c - 1 else 0.0
+            hidden = change[q, r] * (a == b)  # what hides a light goes on to hide it
+            held = hidden if a == c - 1 else stay[q, r] * (a == b) + (change[q, r] - stay[q, r]) * seen
+            step = rho * held + (1 - rho) * change[q, r] * own.looks[b, r]
+            after[b, r] += mass[a, q] * step * likelihood[b]
+        mass = after
+    summed = np.array([mass[point] for point in points]).reshape(c, k)
+    np.testing.assert_allclose(belief[0], summed / summed.sum(), atol=1e-12)
+
+
+@pytest.mark.parametrize("type_name", ["3", "5dh"])
+def test_without_lasting_errors_and_misses_it_is_the_papers_filter(hmm: Hmm, type_name: str) -> None:
+    params = hmm[type_name]
+    chain = HiddenChain.of(type_name, SIGNALS, params, stages=1, odd_changes_per_hour=1e-9)
+    own = AppearanceFilter.of(chain, params, error_duration_s=0)
+    belief, paper = own.first[None], params.initial
+    rng = np.random.default_rng(4)
+    for duration_ms in (100, 40, 0, 200):
+        x = rng.dirichlet(np.ones(len(params.states)))
+        seen = likelihood(params, x, sharpness=1.0)
+        seen[:, -1] = 0  # the paper knows no misses
+        if duration_ms:
+            belief = own.update(own.predict(belief, duration_ms), seen)
+            paper = hmm_update(hmm_predict(paper, params, duration_ms / 1000), x, params)
+    np.testing.assert_allclose(belief[0].sum(axis=0), paper, atol=1e-6)
+
+
+def likelihood(params: HmmParameters, x: np.ndarray, **how: float) -> np.ndarray:
+    """Of a class vector over the type's own states."""
+    reader = LookReader.of([params], {name: i for i, name in enumerate(params.states)})
+    return seen_likelihood(*reader.read(x[None], np.zeros(1, dtype=int), **how))
+
+
+def look(params: HmmParameters, name: str | None) -> np.ndarray:
+    if name is None:
+        return miss_likelihood(len(params.states))[None]
+    return likelihood(params, np.where(np.array(params.states) == name, 0.9, 0.01))
+
+
+def test_the_same_wrong_answer_again_is_hardly_news(hmm: Hmm) -> None:
+    params = hmm["3"]
+    red, yellow = (params.states.index(name) for name in ("3-red", "3-yellow"))
+    odds = []
+    for error_duration_s in (0.0, 0.4):
+        own = make_filter(params, error_duration_s=error_duration_s)
+        belief = own.first[None] * (own.chain.class_of == red)
+        for name in ["3-red"] * 10 + ["3-yellow"] * 4:
+            belief = own.update(own.predict(belief, 33), look(params, name))
+        state = belief[0].sum(axis=0)
+        odds.append(state[yellow] / state[red])
+    assert odds[0] > 5 > 0.2 > odds[1]
+
+
+def test_a_miss_is_a_hint_at_what_is_often_missed(hmm: Hmm) -> None:
+    miss_probs = np.array([0.02, 0.4, 0.02, 0.02, 0.02])
+    params = HmmParameters(**{**vars(hmm["4"]), "miss_probs": miss_probs})
+    own = make_filter(params, stages=8)
+    before = own.first[None]
+    off = own.chain.class_of == params.states.index("4-off")
+    once = own.update(before, look(params, None))
+    odds = [belief.sum(axis=(0, 1))[off].sum() / belief.sum(axis=(0, 1))[~off].sum() for belief in (before, once)]
+    assert odds[1] / odds[0] == pytest.approx(0.4 / 0.02, rel=0.06), "the ratio of the miss probabilities"
+    again = own.update(own.predict(once, 50), look(params, None))
+    twice = again.sum(axis=(0, 1))[off].sum() / again.sum(axis=(0, 1))[~off].sum()
+    assert twice / odds[1] < 1.2, "what hides a light hides it for a while"
+
+
+@given(data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_order_of_cameras_and_splitting_of_sets_do_not_matter(hmm: Hmm, data: st.DataObject) -> None:
+    params = hmm[data.draw(st.sampled_from(["3", "4", "5dh"]))]
+    own = make_filter(params, stages=4)
+    c = len(own.looks)
+    first, second = data.draw(arrays(float, (2, 1, c), elements=st.floats(0.01, 1)))
+    before = own.predict(own.first[None], data.draw(st.integers(0, 5000)))
+    together = own.update(before, first * second)
+    apart = own.update(own.predict(own.update(before, second), 0), first)
+    np.testing.assert_allclose(together, apart, atol=1e-12)
+    np.testing.assert_allclose(together.sum(), 1)
+    assert (together >= 0).all()
+
+
+@given(scale=st.sampled_from([2, 5, 10]), steps=st.lists(st.integers(0, 400), min_size=1, max_size=5))
+@settings(max_examples=20, deadline=None)
+def test_time_and_rates_scaled_together_change_nothing(hmm: Hmm, scale: int, steps: list[int]) -> None:
+    params = hmm["5dh"]
+    slow = HmmParameters(**{**vars(params), "rates": params.rates / scale})
+    beliefs = []
+    for own, factor, odd in ((params, 1, 36.0), (slow, scale, 36.0 / scale)):
+        chain = HiddenChain.of("5dh", SIGNALS, own, stages=1, odd_changes_per_hour=odd)
+        filt = AppearanceFilter.of(chain, own, error_duration_s=0.4 * factor)
+        belief = filt.first[None]
+        for i, step in enumerate(steps):
+            belief = filt.update(filt.predict(belief, step * factor), look(own, own.states[i % 5]))
+        beliefs.append(belief)
+    np.testing.assert_allclose(*beliefs, atol=1e-9)
+
+
+def test_who_is_sure_is_believed_sooner(hmm: Hmm) -> None:
+    params = replace(hmm["3"], certainty=Certainty(0.8, 0.8, 0.05))
+    own = make_filter(params)
+    red, green = (own.chain.class_of == params.states.index(name) for name in ("3-red", "3-green"))
+    belief = own.first[None] * red
+    belief = own.predict(belief / belief.sum(), 100)
+    odds = []
+    for share in (0.95, 0.7):
+        x = np.where(np.array(params.states) == "3-green", share, (1 - share) / 2)
+        state = own.update(belief, likelihood(params, x))[0].sum(axis=0)
+        odds.append(state[green].sum() / state[red].sum())
+    assert odds[0] / odds[1] > 20
+
+
+def test_of_two_cameras_the_sure_one_is_heard(hmm: Hmm) -> None:
+    params = replace(hmm["3"], certainty=Certainty(0.8, 0.8, 0.05))
+    reader = LookReader.of([params], {name: i for i, name in enumerate(params.states)})
+    doubting, knowing = np.array([[0.02, 0.5, 0.4]]), np.array([[0.01, 0.01, 0.95]])
+    types = np.zeros(1, dtype=int)
+    (said, sure), (said_2, sure_2) = reader.read(doubting, types), reader.read(knowing, types)
+    together = seen_likelihood(said * said_2, np.maximum(sure, sure_2))[0]
+    assert np.argmax(together) == 2, "yellow, for sure"
+
+
+def test_two_half_times_are_one(hmm: Hmm) -> None:
+    own = make_filter(hmm["4"], stages=8)
+    np.testing.assert_allclose(
+        own.predict(own.predict(own.first[None], 40), 60).sum(axis=1), own.predict(own.first[None], 100).sum(axis=1)
+    )
+
+
+def test_a_group_of_one_is_a_light_alone(hmm: Hmm) -> None:
+    own = make_filter(hmm["3"], stages=8)
+    likelihood = np.random.default_rng(0).random((3, len(own.looks)))
+    beliefs = own.predict(np.stack([own.first] * 3), 100)
+    np.testing.assert_allclose(
+        own.update_together(beliefs, likelihood, np.eye(3)), own.update(beliefs, likelihood), atol=1e-12
+    )
+
+
+def test_a_group_is_one_light_seen_several_times_where_errors_do_not_last(hmm: Hmm) -> None:
+    own = make_filter(hmm["3"], error_duration_s=0)
+    likelihood = np.random.default_rng(0).random((2, len(own.looks)))
+    beliefs = own.predict(np.stack([own.first] * 2), 100)
+    together = own.update_together(beliefs, likelihood, np.ones((1, 2)))
+    state = own.predict(own.first[None], 100).sum(axis=1)[0]
+    for row in likelihood:
+        state = state * (row @ own.looks)
+    for belief in together:
+        np.testing.assert_allclose(belief.sum(axis=0), state / state.sum(), atol=1e-12)
+
+
+def test_what_the_model_calls_impossible_is_believed_as_at_first_sight(hmm: Hmm) -> None:
+    own = make_filter(hmm["3"])
+    belief = np.zeros((1, *own.first.shape))
+    belief[0, 0, 0] = 1.0
+    likelihood = np.zeros((1, len(own.looks)))
+    likelihood[0, 1] = 1.0
+    np.testing.assert_allclose(own.update(belief, likelihood)[0].sum(axis=0), own.first[1] / own.first[1].sum())
