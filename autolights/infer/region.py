@@ -10,6 +10,9 @@ from autolights.infer.letterbox import STRIDE, Letterbox, rectangle_for
 # Left, top, right, bottom in pixels of the image, edge coordinates.
 Region: TypeAlias = tuple[float, float, float, float]
 
+# Of an input of free size: an end2end head chooses among at least as many cells as a square of this has.
+LEAST_SIDES = {"raw": STRIDE, "end2end": 96}
+
 
 def view_of(image_wh: tuple[int, int], region: Region | None, info: ModelInfo) -> Letterbox:
     """Fit an image, or a region of it, into a model's input.
@@ -26,26 +29,36 @@ def view_of(image_wh: tuple[int, int], region: Region | None, info: ModelInfo) -
     Raises:
         ValueError: If the region does not overlap the image.
     """
-    return _view(image_wh, region, info.size_wh, info.dynamic_size)
+    return _view(image_wh, region, info.size_wh, LEAST_SIDES[info.head] if info.dynamic_size else None)
 
 
 @lru_cache(maxsize=64)  # cameras and fixed regions come again with every frame
-def _view(image_wh: tuple[int, int], region: Region | None, size_wh: tuple[int, int], dynamic_size: bool) -> Letterbox:
+def _view(
+    image_wh: tuple[int, int], region: Region | None, size_wh: tuple[int, int], least_side: int | None
+) -> Letterbox:
+    """`least_side` is that of a free size, None where the size is fixed."""
     if region is None:
-        return Letterbox(image_wh, rectangle_for(image_wh, max(size_wh)) if dynamic_size else size_wh)
+        if least_side is not None:
+            width, height = rectangle_for(image_wh, max(size_wh))
+            size_wh = max(width, least_side), max(height, least_side)
+        return Letterbox(image_wh, size_wh)
     spans = [_whole_pixels(region[axis], region[axis + 2], image_wh[axis]) for axis in (0, 1)]
     if any(high <= low for low, high in spans):
         raise ValueError(f"the region {list(region)} does not overlap the image of {image_wh[0]} x {image_wh[1]} px")
     sides = [high - low for low, high in spans]
-    if dynamic_size:
-        wanted = [math.ceil(side / STRIDE) * STRIDE for side in sides]
+    if least_side is not None:
+        wanted = [_padded(side, least_side) for side in sides]
     else:
         scale = max(sides[0] / size_wh[0], sides[1] / size_wh[1], 1.0)
         wanted = [math.floor(side * scale) for side in size_wh]
     (left, width), (top, height) = (_grown(*spans[axis], wanted[axis], image_wh[axis]) for axis in (0, 1))
-    if dynamic_size:
-        size_wh = (math.ceil(width / STRIDE) * STRIDE, math.ceil(height / STRIDE) * STRIDE)
+    if least_side is not None:
+        size_wh = _padded(width, least_side), _padded(height, least_side)
     return Letterbox((width, height), size_wh, origin_xy=(left, top), enlarge=False)
+
+
+def _padded(side: int, least: int) -> int:
+    return max(math.ceil(side / STRIDE) * STRIDE, least)
 
 
 def _whole_pixels(low: float, high: float, length: int) -> tuple[int, int]:

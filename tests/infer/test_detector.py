@@ -41,10 +41,10 @@ def test_boxes_are_in_pixels_of_each_image(constant_model):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_of_a_model_says_the_same(spot_model, form):
-    detector = Detector(*spot_model(**form, score_threshold=0.5), Execution(threads=1))
+    detector = Detector(*spot_model(size_wh=(192, 96), **form, score_threshold=0.5), Execution(threads=1))
 
     narrow, wide = detector.batch(
-        [spot_image(64, 32, [(8, 16, RED), (50, 2, GREEN)]), spot_image(128, 64, [(96, 32, GREEN)])]
+        [spot_image(192, 96, [(8, 16, RED), (50, 2, GREEN)]), spot_image(384, 192, [(96, 32, GREEN)])]
     )
 
     np.testing.assert_allclose(narrow.boxes_xyxy, [[8, 16, 16, 24], [48, 0, 56, 8]])

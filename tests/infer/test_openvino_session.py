@@ -63,8 +63,8 @@ def test_bfloat16_only_where_it_is_asked_for(random_network):
 @pytest.mark.parametrize("half_io", [False, True])
 @pytest.mark.parametrize("free", [False, True])
 def test_detects_what_onnx_runtime_detects(spot_model, head, half_io, free):
-    model = spot_model(head=head, half_io=half_io, dynamic_batch=free, dynamic_size=free)
-    images = [np.zeros((32, 64, 3), np.uint8), np.zeros((64, 64, 3), np.uint8)]
+    model = spot_model(size_wh=(192, 96), head=head, half_io=half_io, dynamic_batch=free, dynamic_size=free)
+    images = [np.zeros((96, 192, 3), np.uint8), np.zeros((192, 192, 3), np.uint8)]
     images[0][9:13, 33:37, 1] = 200
     images[0][17:21, 9:13, 2] = 170
     images[1][40:44, 8:12, 2] = 250

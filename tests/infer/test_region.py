@@ -6,10 +6,12 @@ from hypothesis import strategies as st
 
 from autolights.core import ModelInfo
 from autolights.infer.letterbox import Letterbox
-from autolights.infer.region import view_of
+from autolights.infer.region import LEAST_SIDES, view_of
+from autolights.train.deliver.heads import MIN_DYNAMIC_SIDE
 
 FIXED = ModelInfo(classes=("red",), size_wh=(640, 416), opset=17)
 FREE = FIXED.model_copy(update={"dynamic_size": True})
+FREE_END2END = FREE.model_copy(update={"head": "end2end"})
 FULL_HD = (1920, 1200)
 
 
@@ -39,10 +41,19 @@ FULL_HD = (1920, 1200)
         pytest.param(
             FREE, (0, 0, 1920, 1200), Letterbox(FULL_HD, (1920, 1216), (0, 0), enlarge=False), id="free-everything"
         ),
+        pytest.param(FREE, (10, 10, 40, 30), Letterbox((32, 32), (32, 32), (9, 4), enlarge=False), id="free-and-small"),
+        pytest.param(
+            FREE_END2END, (10, 10, 40, 30), Letterbox((96, 96), (96, 96), (0, 0), enlarge=False), id="enough-to-choose"
+        ),
     ],
 )
 def test_by_hand(info, region, view):
     assert view_of(FULL_HD, region, info) == view
+
+
+def test_a_line_of_an_image_gives_an_end2end_head_enough_to_choose_from():
+    assert view_of((2000, 3), None, FREE_END2END) == Letterbox((2000, 3), (640, 96))
+    assert LEAST_SIDES["end2end"] == MIN_DYNAMIC_SIDE  # what the export proves its models for
 
 
 @pytest.mark.parametrize("region", [(1920, 0, 2000, 50), (300, 300, 300, 400), (100, 100, 50, 200)])
