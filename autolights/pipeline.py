@@ -198,7 +198,7 @@ class LightPipeline:
         threads: int | None = None,
     ) -> Self:
         """The pipeline of a bundle, with its detector on ONNX Runtime."""
-        detector = Detector.from_bundle(bundle, threads=threads)
+        detector = Detector.from_bundle(bundle, threads=threads, images_at_once=len(cameras))
         return cls(detector, bundle.hmm, bundle.signals, cameras, lights, config, poses=poses)
 
     def update_pose(self, pose: Pose) -> None:

@@ -115,7 +115,7 @@ def run_drive(
     if unknown or not variants:
         raise UsageError(f"variant must be one of {', '.join(VARIANTS)}, got {unknown[0] if unknown else 'none'}")
     refuse_existing(out_dir, force=force)
-    detector = detector or Detector.from_bundle(bundle, threads=threads)
+    detector = detector or Detector.from_bundle(bundle, threads=threads, images_at_once=len(drive.cameras))
     poses = drive.pose_buffer()  # only read from here on, so one serves all variants
     run = _Run(
         drive,

@@ -110,7 +110,9 @@ def main() -> None:
     cameras = {each.name: each for each in (camera("narrow", 2200.0), camera("wide", 1000.0))}
     config = PipelineConfig(regions=dict.fromkeys(cameras, RegionConfig()) if arguments.regions else {})
     lights = along_a_road(bundle)
-    detector = Seeing(Detector.from_bundle(bundle, threads=arguments.threads), lights, cameras)
+    detector = Seeing(
+        Detector.from_bundle(bundle, threads=arguments.threads, images_at_once=len(cameras)), lights, cameras
+    )
     pipeline = LightPipeline(detector, bundle.hmm, bundle.signals, cameras, lights, config)
     frames, sets = images(), arguments.frames // 2
     samples: list[tuple[float, float]] = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from autolights.core import Bundle, Detections, FloatArray, ImageArray, ModelInfo
 from autolights.infer.decode import decode_outputs
-from autolights.infer.execution import Execution, open_session
+from autolights.infer.execution import Execution, open_session, usable_cpus
 from autolights.infer.letterbox import InputBuffer, Letterbox
 from autolights.infer.region import Region, view_of
 from autolights.infer.session import Session
@@ -65,6 +65,7 @@ class Detector:
         providers: Sequence[str] | None = None,
         threads: int | None = None,
         score_threshold: float | None = None,
+        images_at_once: int = 1,
     ) -> Self:
         """The detector of a bundle.
 
@@ -75,15 +76,18 @@ class Detector:
             providers: Shorthand for an execution in ONNX Runtime with these providers.
             threads: Shorthand for an execution with so many threads.
             score_threshold: Instead of the bundle's.
+            images_at_once: As many as `batch` will mostly get: unless told or tuned otherwise, a CPU works on them side
+                by side as far as it has threads. Two of a nano at 640 x 416 took 0.7 of the time so, on 2 cores.
 
         Raises:
             UsageError: See the class.
             DataError: See the class.
         """
-        if execution is None and (providers is not None or threads is not None):
-            execution = Execution(providers=tuple(providers or ()), threads=threads)
-        if execution is None:
+        if execution is None and not providers and threads is None:
             execution = tuned_execution(bundle.model_path)
+        if execution is None:
+            streams = 1 if providers else min(images_at_once, threads or usable_cpus())
+            execution = Execution(providers=tuple(providers or ()), threads=threads, streams=max(streams, 1))
         return cls(bundle.model_path, bundle.model, execution, score_threshold=score_threshold)
 
     def __call__(self, image_bgr: ImageArray, region: Region | None = None) -> Detections:

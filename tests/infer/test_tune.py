@@ -109,6 +109,21 @@ def test_which_is_best(measured, best):
     assert _best(measured) == best
 
 
+@pytest.mark.parametrize(
+    ("choices", "execution"),
+    [
+        ({"threads": 2, "images_at_once": 2}, STREAMS),
+        ({"threads": 2, "images_at_once": 5}, STREAMS),
+        ({"threads": 1, "images_at_once": 2}, ONE),
+        ({"threads": 4}, Execution(threads=4)),
+        ({"providers": ["CPUExecutionProvider"]}, Execution(providers=("CPUExecutionProvider",))),
+        ({"execution": TWO, "images_at_once": 2}, TWO),
+    ],
+)
+def test_without_tuning_cameras_share_the_threads(bundle_dir, choices, execution):
+    assert Detector.from_bundle(Bundle.load(bundle_dir), **choices).execution == execution
+
+
 def test_verb(bundle_dir):
     arguments = ["tune", str(bundle_dir), "--images", "1", "--image-size", "64x32", "--seconds", "0"]
 
