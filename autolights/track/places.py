@@ -109,6 +109,8 @@ class LightPlaces:
         self._last_ns: IntArray = np.empty((0, c), dtype=np.int64)
         self._last_places: FloatArray = np.empty((0, c, 3))
         self._active: BoolArray = np.empty(0, dtype=bool)
+        self._camera_ns = [_NEVER_NS] * c
+        self._unsettled = False
         sigmas = np.full(size - _LIGHT, np.radians(config.rotation_deg))
         sigmas[:_POSE] = config.position_m
         self._start_variances: FloatArray = sigmas**2
@@ -178,9 +180,13 @@ class LightPlaces:
             pose: The vehicle's at the image's stamp.
         """
         number = self._cameras[camera.name]
-        due = np.abs(pose.stamp_ns - self._last_ns[rows, number]) >= self._config.every_s * 1e9
-        if not due.any():
-            return
+        if abs(pose.stamp_ns - self._camera_ns[number]) >= self._config.every_s * 1e9:
+            due = np.ones(len(rows), dtype=bool)
+            self._camera_ns[number] = pose.stamp_ns
+        else:
+            due = self._last_ns[rows, number] == _NEVER_NS
+            if not due.any():
+                return
         due &= (boxes_xyxy[:, :2] >= _EDGE_PX).all(axis=1)
         due &= (boxes_xyxy[:, 2:] <= np.array(camera.size_wh) - _EDGE_PX).all(axis=1)
         rows, boxes_xyxy = rows[due], boxes_xyxy[due]
@@ -202,6 +208,7 @@ class LightPlaces:
         self._last_ns[rows, number] = pose.stamp_ns
         self._last_places[rows, number] = pose.position
         self._active[rows] = True
+        self._unsettled = True
 
     def restart(self, row: int, heading_deg: float, size_m: FloatArray) -> None:
         """Forget what boxes told of an unmapped light: it is of another type, and its size is another one."""
@@ -216,7 +223,9 @@ class LightPlaces:
         rows = np.flatnonzero(self._active)
         if not len(rows):
             return
-        self._solve(rows)
+        if self._unsettled:
+            self._solve(rows)
+            self._unsettled = False
         silent = self._last_ns[rows].max(axis=1) < stamp_ns - _SETTLED_S * 1e9
         if silent.any():
             self._close(rows[silent])
@@ -230,6 +239,7 @@ class LightPlaces:
             "lights": {name: getattr(self, name).tolist() for name in _COLUMNS},
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
+            "camera_ns": self._camera_ns,
         }
 
     def restore(self, values: dict[str, Any]) -> None:
@@ -252,7 +262,7 @@ class LightPlaces:
             setattr(self, name, column)
         self._shared_information, self._shared_vector = information, vector
         self._shared, self._shared_covariance = shared, covariance
-        self._shared_ns = values["shared_ns"]
+        self._shared_ns, self._camera_ns = values["shared_ns"], list(values["camera_ns"])
 
     def _solve(self, rows: IntArray) -> None:
         inverse, ahead, information, vectors = self._eliminated(rows)
