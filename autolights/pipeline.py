@@ -57,7 +57,7 @@ from autolights.track import (
 )
 
 NO_POSE, LATE = "no pose", "earlier than the set before"
-_POSE_HISTORY_S = 10.0
+_POSE_HISTORY_S = 5.0  # nothing comes later than that: if it does, the clock was set back
 
 
 class PipelineConfig(Config):
@@ -137,6 +137,7 @@ class LightPipeline:
 
     Attributes:
         skipped: How many frames were left out, by reason.
+        clock_jumps: How often the clock was set back, after which all tracks began anew.
         last_skip: The latest reason in full; empty if no frame was left out.
 
     Raises:
@@ -167,15 +168,14 @@ class LightPipeline:
                 raise UsageError(f"regions: unknown camera '{name}'; calibrated are: {', '.join(cameras)}")
         self.skipped: Counter[str] = Counter()
         self.last_skip = ""
+        self.clock_jumps = 0
         self._detector = detector
+        self._hmm = hmm
         self._signals = signals
         self._cameras = dict(cameras)
         self._lights = lights
         self._poses = PoseBuffer(history_s=_POSE_HISTORY_S) if poses is None else poses
-        alignment = self.config.alignment
-        self._alignments = (
-            {name: CameraAlignment(camera, alignment) for name, camera in self._cameras.items()} if alignment else {}
-        )
+        self._alignments = self._new_alignments()
         places = self.config.places
         self._places = PlaceBook(lights, self._cameras, places) if places else None
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
@@ -235,7 +235,7 @@ class LightPipeline:
         """Do what `step` does after detection: recorded detections can serve several pipelines.
 
         A frame whose pose is not known, and a set that is older than the one before, are left out and counted in
-        `skipped`.
+        `skipped`; one that is older by more than 5 s tells that the clock was set back, and all tracks begin anew.
 
         Args:
             frames: Camera and stamp of each image.
@@ -280,7 +280,12 @@ class LightPipeline:
         self, frames: Sequence[Stamped], detections: Sequence[Detections]
     ) -> Iterator[tuple[CameraModel, Pose, Detections]]:
         """Each frame with the vehicle's pose at its own stamp, as far as that is known; boxes without area go."""
-        if self._last_set_ns is not None and frames and max(f.stamp_ns for f in frames) < self._last_set_ns:
+        behind_ns = 0
+        if self._last_set_ns is not None and frames:
+            behind_ns = self._last_set_ns - max(frame.stamp_ns for frame in frames)
+        if behind_ns > _POSE_HISTORY_S * 1e9:
+            self._begin_anew()
+        elif behind_ns > 0:
             self._skip(LATE, len(frames), f"the set is {LATE}, of stamp {self._last_set_ns}")
             return
         for frame, found in zip(frames, detections, strict=True):
@@ -296,6 +301,18 @@ class LightPipeline:
                 continue
             # A box without area has no size to be placed by.
             yield self._cameras[frame.camera], pose, found[area(found.boxes_xyxy) > 0]
+
+    def _begin_anew(self) -> None:
+        """The clock was set back: states and shifts belong to another time, places and track ids do not."""
+        self.clock_jumps += 1
+        self._tracks = TrackManager(
+            self._lights, self._signals, self._hmm, self.config.track, last_id=self._tracks.last_id
+        )
+        self._alignments = self._new_alignments()
+
+    def _new_alignments(self) -> dict[str, CameraAlignment]:
+        alignment = self.config.alignment
+        return {name: CameraAlignment(camera, alignment) for name, camera in self._cameras.items()} if alignment else {}
 
     def _skip(self, reason: str, count: int, text: str) -> None:
         self.skipped[reason] += count

@@ -68,7 +68,12 @@ class PoseBuffer:
         return len(self._poses)
 
     def add(self, pose: Pose) -> None:
-        """Take in one pose; late ones find their place, one with a known stamp replaces the old one."""
+        """Take in one pose; late ones find their place, one with a known stamp replaces the old one.
+
+        One that is older than all that `history_s` keeps tells that the clock was set back: the buffer begins anew.
+        """
+        if self._history_ns is not None and self._poses and pose.stamp_ns < self._poses[-1].stamp_ns - self._history_ns:
+            self._poses.clear()
         i = bisect_left(self._poses, pose.stamp_ns, key=_stamp)
         if i < len(self._poses) and self._poses[i].stamp_ns == pose.stamp_ns:
             self._poses[i] = pose

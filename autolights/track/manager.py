@@ -48,10 +48,17 @@ class TrackManager:
         signals: The signal description.
         hmm: One model per type.
         config: Birth, death and memory.
+        last_id: Track ids begin after it.
     """
 
     def __init__(
-        self, lights: TrafficLightMap, signals: SignalSet, hmm: Mapping[str, HmmParameters], config: TrackConfig
+        self,
+        lights: TrafficLightMap,
+        signals: SignalSet,
+        hmm: Mapping[str, HmmParameters],
+        config: TrackConfig,
+        *,
+        last_id: int = 0,
     ) -> None:
         self._lights = lights
         self._signals = signals
@@ -70,7 +77,7 @@ class TrackManager:
         self._unmapped_lights = self._index()
         self._views: dict[int, list[CameraView]] = {}
         self._last_set_ns: int | None = None
-        self._next_id = 0
+        self.last_id = last_id
         self._reports: Reports | None = None
 
     @property
@@ -140,7 +147,7 @@ class TrackManager:
             "signals": self._signals.name,
             "config": self._config.model_dump(mode="json"),
             "last_set_ns": self._last_set_ns,
-            "next_id": self._next_id,
+            "next_id": self.last_id,
             "map_ids": [None if row < 0 else self._lights.ids[row] for row in map_rows],
             "tracks": self._table.to_json(),
             "index": {"rows": self._unmapped_rows.tolist(), "positions": self._unmapped_lights.positions.tolist()},
@@ -171,7 +178,7 @@ class TrackManager:
             rows = np.array(values["index"]["rows"], dtype=np.int64)
             self._table, self._unmapped_rows = table, rows
             self._unmapped_lights = self._index(np.array(values["index"]["positions"]).reshape(-1, 3))
-            self._last_set_ns, self._next_id = values["last_set_ns"], int(values["next_id"])
+            self._last_set_ns, self.last_id = values["last_set_ns"], int(values["next_id"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"tracking state: damaged ({type(error).__name__}: {error}); start without it") from error
         self._row_of_light[:] = -1
@@ -232,8 +239,8 @@ class TrackManager:
         )
 
     def _append(self, *, map_rows: IntArray, types: IntArray, set_ns: int, **columns: FloatArray) -> IntArray:
-        ids = self._next_id + 1 + np.arange(len(map_rows))
-        self._next_id += len(map_rows)
+        ids = self.last_id + 1 + np.arange(len(map_rows))
+        self.last_id += len(map_rows)
         rows = self._table.append(ids=ids, map_rows=map_rows, types=types, set_ns=set_ns, **columns)
         groups = np.full(len(rows), -1, dtype=np.int64)
         on_map = map_rows >= 0
