@@ -1,5 +1,6 @@
 """`autolights tune`: measure in which way a bundle's detector is fastest on this machine, and remember it."""
 
+import os
 import statistics
 import time
 from collections.abc import Iterator, Sequence
@@ -13,7 +14,7 @@ import onnxruntime
 from autolights.core import Bundle, FloatArray, ImageArray
 from autolights.core.atomic import sha256
 from autolights.core.errors import AutolightsError
-from autolights.core.progress import track
+from autolights.core.progress import say, track
 from autolights.infer import Detector, Execution
 from autolights.infer.execution import open_session, openvino_is_installed, usable_cpus
 from autolights.infer.session import CPU, can_limit_spinning
@@ -70,6 +71,9 @@ def tune_bundle(
     Raises:
         AutolightsError: If the model cannot be run at all.
     """
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    if load > usable_cpus() / 2:
+        say(f"warning: the machine is busy (load {load:.1f} on {usable_cpus()} CPUs): this is what will be measured")
     frames = _soft_noise(images, image_wh)
     candidates = list(_candidates(images, bfloat16))
     model = bundle.model_path, bundle.model
@@ -97,8 +101,13 @@ def tune_bundle(
         image_wh=image_wh,
         best=_best([(each, medians[each]) for each in finalists]),
         measurements=tuple(
-            Measurement(execution=each, set_ms=medians[each], prob_difference=differences[each])
-            for each in sorted(medians, key=medians.__getitem__)
+            Measurement(
+                execution=each,
+                set_ms=medians[each],
+                prob_difference=differences[each],
+                in_turns=each in finalists,
+            )
+            for each in sorted(medians, key=lambda each: (each not in finalists, medians[each]))
         ),
     )
     return TuneResult(tuning, tuning.save(), refused)

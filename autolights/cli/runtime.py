@@ -155,11 +155,12 @@ def tune(
     if as_json:
         typer.echo(json.dumps({"path": str(result.path), **result.tuning.model_dump(mode="json")}))
         return
-    fastest_ms = result.tuning.measurements[0].set_ms
+    best_ms = next(each.set_ms for each in result.tuning.measurements if each.execution == result.tuning.best)
     typer.echo(f"{'execution':40} {'ms per set':>10} {'ratio':>6} {'difference':>11}")
     for each in result.tuning.measurements:
         name = f"{each.execution}{'  <- best' if each.execution == result.tuning.best else ''}"
-        typer.echo(f"{name:40} {each.set_ms:10.1f} {each.set_ms / fastest_ms:6.2f} {each.prob_difference:11.1e}")
+        ratio = f"{each.set_ms / best_ms:6.2f}" if each.in_turns else "     -"
+        typer.echo(f"{name:40} {each.set_ms:10.1f} {ratio} {each.prob_difference:11.1e}")
     for execution, reason in result.refused.items():
         typer.echo(f"{execution}: {reason}", err=True)
     typer.echo(f"kept in {result.path}")

@@ -36,10 +36,13 @@ class Measurement(Config):
         set_ms: Median time of one set of images: letterbox, network, decoding.
         prob_difference: Largest difference of a probability from ONNX Runtime's on the CPU, on the images of the
             measurement.
+        in_turns: It was among the best, which took turns; the time of the others is that of a brief look, at another
+            moment.
     """
 
     execution: Execution
     set_ms: float = Field(ge=0)
+    in_turns: bool
     prob_difference: float = Field(ge=0)
 
 
@@ -53,7 +56,7 @@ class Tuning(Config):
         images: In a set.
         image_wh: Of each.
         best: What `Detector.from_bundle` takes from now on.
-        measurements: The fastest first.
+        measurements: Those that took turns, then the others, the fastest first.
     """
 
     machine: Machine
