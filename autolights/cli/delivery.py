@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
@@ -9,13 +10,18 @@ import typer
 
 from autolights.cli.options import Force, Out, Signals
 from autolights.core.errors import ConfigError, UsageError
-from autolights.core.model_info import Head, Precision
+from autolights.core.model_info import Head, ModelInfo, Precision
 
 
 def export(
     checkpoint: Annotated[
         Path,
-        typer.Argument(exists=True, dir_okay=False, help="best.pt of a training run, or a public YOLOv5 checkpoint."),
+        typer.Argument(
+            exists=True,
+            dir_okay=False,
+            help="best.pt of a training run, or a public YOLOv5 checkpoint; or a model.onnx that was exported before, "
+            "for --tensorrt and --check-tensorrt alone.",
+        ),
     ],
     out: Out = Path("runs/export/model.onnx"),
     size: Annotated[str, typer.Option(help="Input WIDTHxHEIGHT in pixels, multiples of 32.")] = "960x608",
@@ -38,6 +44,21 @@ def export(
         float, typer.Option(min=0.01, max=0.99, help="Of two boxes that overlap more the worse one goes.")
     ] = 0.5,
     max_detections: Annotated[int, typer.Option(min=1, max=512, help="The most lights of an image.")] = 100,
+    tensorrt: Annotated[
+        bool,
+        typer.Option(
+            "--tensorrt",
+            help="Also build model.engine for this machine's GPU; needs TensorRT 10 or newer and cuda-bindings.",
+        ),
+    ] = False,
+    dla: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="With --tensorrt: run what can be on this core of the deep learning accelerator (Jetson Orin), the "
+            "rest on the GPU; needs fp16 and one fixed shape. TensorRT 11.0 to 11.4.0 do not serve it.",
+        ),
+    ] = None,
     check_tensorrt: Annotated[
         bool,
         typer.Option(
@@ -69,18 +90,14 @@ def export(
     Examples:
       autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
       autolights export runs/train/best.pt --head end2end --dynamic batch --image 'runs/images/images/val/*.jpg'
+      autolights export runs/train/best.pt --precision fp16 --check-tensorrt --out runs/export/model.onnx
+      autolights export runs/bundle/model.onnx --tensorrt
     """
     from autolights.core.atomic import refuse_existing
     from autolights.core.json_files import read_json_object
-    from autolights.core.progress import say
-    from autolights.infer import ImageSources
-    from autolights.train import export_onnx, load_checkpoint
-    from autolights.train.deliver.tensorrt_check import COMPUTE_CAPABILITIES
-    from autolights.train.deliver.tensorrt_check import check_tensorrt as check_with_tensorrt
-    from autolights.train.deliver.tensorrt_shapes import trtexec_command
 
-    for path in (out, out.with_suffix(".json")):
-        refuse_existing(path, force=force)
+    if dla is not None and not tensorrt:
+        raise UsageError("--dla is a choice of --tensorrt")
     width, cross, height = size.partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise UsageError(f"--size must read WIDTHxHEIGHT, e.g. 960x608, got {size!r}")
@@ -88,6 +105,19 @@ def export(
     _check_choice("--precision", precision, get_args(Precision))
     for free in dynamic or ():
         _check_choice("--dynamic", free, ("batch", "size"))
+    tensorrt_work = _TensorRtWork(tensorrt, dla, check_tensorrt, compute_capability, force)
+    if checkpoint.suffix == ".onnx":
+        if not (tensorrt or check_tensorrt):
+            raise UsageError(f"{checkpoint}: is exported already; give --tensorrt or --check-tensorrt, or a checkpoint")
+        tensorrt_work.run(checkpoint, _describe(checkpoint))
+        return
+
+    from autolights.infer import ImageSources
+    from autolights.train import export_onnx, load_checkpoint
+
+    for path in (out, out.with_suffix(".json")):
+        refuse_existing(path, force=force)
+    tensorrt_work.refuse_existing_engine(out)
     report = export_onnx(
         load_checkpoint(checkpoint),
         out,
@@ -105,11 +135,53 @@ def export(
         training=read_json_object(metrics) if metrics else None,
     )
     typer.echo(f"{out}: {json.dumps(report.info.parity)}")
-    say(f"for TensorRT on the target: {trtexec_command(out, report.info)}")
-    if check_tensorrt:
-        check = check_with_tensorrt(out, report.info, compute_capability or COMPUTE_CAPABILITIES)
-        typer.echo(check.to_text())
-        check.raise_if_refused()
+    tensorrt_work.run(out, report.info)
+
+
+@dataclass(frozen=True)
+class _TensorRtWork:
+    """What `export` does beyond the ONNX file."""
+
+    build: bool
+    dla_core: int | None
+    check: bool
+    compute_capabilities: Sequence[str] | None
+    force: bool
+
+    def refuse_existing_engine(self, model_path: Path) -> None:
+        from autolights.core.atomic import refuse_existing
+
+        if self.build:
+            refuse_existing(model_path.with_suffix(".engine"), force=self.force)
+
+    def run(self, model_path: Path, info: ModelInfo) -> None:
+        from autolights.core.progress import say
+        from autolights.train.deliver.tensorrt_shapes import trtexec_command
+
+        self.refuse_existing_engine(model_path)
+        say(f"for TensorRT on the target: {trtexec_command(model_path, info)}")
+        if self.check:
+            from autolights.train.deliver.tensorrt_check import COMPUTE_CAPABILITIES, check_tensorrt
+
+            checked = check_tensorrt(model_path, info, self.compute_capabilities or COMPUTE_CAPABILITIES)
+            typer.echo(checked.to_text())
+            checked.raise_if_refused()
+        if self.build:
+            from autolights.train.deliver.tensorrt_engine import build_engine
+
+            built = build_engine(model_path, info, dla_core=self.dla_core)
+            typer.echo(f"{model_path.with_suffix('.engine')}: {json.dumps(built.model_dump(mode='json'))}")
+
+
+def _describe(model_path: Path) -> ModelInfo:
+    """Of a model in a bundle, or of one with its description beside it."""
+    from autolights.core import Bundle
+    from autolights.core.bundle import MANIFEST
+    from autolights.core.model_info import load_model_info
+
+    if (model_path.parent / MANIFEST).is_file():
+        return Bundle.load(model_path.parent).model
+    return load_model_info(model_path)
 
 
 def fit_hmm(

@@ -15,7 +15,8 @@ class Execution(Config):
     """One way of running a model.
 
     Attributes:
-        backend: ``onnxruntime``, or ``openvino`` where that package is installed.
+        backend: ``onnxruntime``, ``openvino`` where that package is installed, or ``tensorrt`` for the engine that
+            `autolights export --tensorrt` has built beside the model.
         providers: Of ONNX Runtime, in order of preference, by its own names; empty: the CPU.
         threads: All that detection may use on the CPU; null leaves the choice to the backend.
         streams: How many images of one `Detector.batch` are worked on at a time; they share the threads.
@@ -24,7 +25,7 @@ class Execution(Config):
         bfloat16: Let OpenVINO round to bfloat16 where the CPU is faster so; see `OpenVinoSession`.
     """
 
-    backend: Literal["onnxruntime", "openvino"] = "onnxruntime"
+    backend: Literal["onnxruntime", "openvino", "tensorrt"] = "onnxruntime"
     providers: tuple[str, ...] = ()
     threads: int | None = Field(default=None, ge=1)
     streams: int = Field(default=1, ge=1)
@@ -75,4 +76,8 @@ def open_session(model_path: Path, info: ModelInfo, execution: Execution, *, thr
         from autolights.infer.openvino_session import OpenVinoSession
 
         return OpenVinoSession(model_path, info, threads=threads, bfloat16=execution.bfloat16)
+    if execution.backend == "tensorrt":
+        from autolights.infer.tensorrt_session import TensorRtSession
+
+        return TensorRtSession(model_path, info)
     return OnnxSession(model_path, info, providers=execution.providers, threads=threads, spin_us=execution.spin_us)

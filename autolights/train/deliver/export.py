@@ -14,10 +14,11 @@ from autolights.core.atomic import new_file
 from autolights.core.errors import UsageError
 from autolights.core.model_info import Head, Precision
 from autolights.train.deliver.half_precision import half_arithmetic, to_half
-from autolights.train.deliver.heads import MIN_DYNAMIC_SIDE, candidate_count
+from autolights.train.deliver.heads import candidate_count
 from autolights.train.deliver.onnx_file import OPSET, OPSETS, finish, trace
 from autolights.train.deliver.parity import TOLERANCES, compare, onnx_run
 from autolights.train.deliver.tensorrt_operators import check_operators
+from autolights.train.deliver.tensorrt_shapes import MIN_DYNAMIC_SIDE
 from autolights.train.network.model import MAX_STRIDE, YoloV5
 
 

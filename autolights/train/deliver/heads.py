@@ -4,7 +4,6 @@ Each head is a module that torch traces. The network's 1×1 convolutions may run
 is float32, since pixels beyond 2048 have no exact half and scores decide who suppresses whom.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from autolights.core import ModelInfo
+from autolights.train.deliver.tensorrt_shapes import MIN_DYNAMIC_SIDE
 from autolights.train.network.model import YoloV5
 
 # Rows that take part in suppression in the graph. The shipped nano has at most 332 rows above a score of 0.25 in 75
@@ -194,10 +194,6 @@ def candidate_count(info: ModelInfo, strides: Sequence[int]) -> int:
     """Rows that take part in suppression: all of a small input, else `MAX_CANDIDATES`."""
     smallest = (MIN_DYNAMIC_SIDE, MIN_DYNAMIC_SIDE) if info.dynamic_size else info.size_wh
     return min(MAX_CANDIDATES, row_count(smallest, strides))
-
-
-# The smallest side of a dynamic end2end graph: 96 px square has 567 rows, so that there are always candidates enough.
-MIN_DYNAMIC_SIDE = 32 * math.ceil(math.sqrt(MAX_CANDIDATES / 3 / (16 + 4 + 1)))
 
 
 class BoxesAndScoresHead(nn.Module):

@@ -6,7 +6,10 @@ Called by `tensorrt_check` as ``python -m``, with the arguments of `build` as a 
 import json
 import sys
 import time
+from pathlib import Path
 from typing import Any
+
+from autolights.train.deliver.tensorrt_plan import RefusedModelError, build_plan
 
 
 def build(model: str, compute_capability: str, shapes: list[list[int]] | None) -> dict[str, Any]:
@@ -22,37 +25,21 @@ def build(model: str, compute_capability: str, shapes: list[list[int]] | None) -
     """
     import tensorrt_rtx as trt
 
-    class Logger(trt.ILogger):  # type: ignore[misc]
-        def __init__(self) -> None:
-            trt.ILogger.__init__(self)
-            self.errors: list[str] = []
-
-        def log(self, severity: Any, message: str) -> None:
-            if severity in (trt.ILogger.ERROR, trt.ILogger.INTERNAL_ERROR):
-                self.errors.append(message)
+    def configure(builder: Any, config: Any) -> None:
+        if not hasattr(trt.ComputeCapability, compute_capability):
+            known = [name for name in trt.ComputeCapability.__members__ if name.startswith("SM")]
+            raise RefusedModelError(
+                f"TensorRT for RTX {trt.__version__} builds for {', '.join(known)}, not for this one"
+            )
+        config.num_compute_capabilities = 1
+        config.set_compute_capability(getattr(trt.ComputeCapability, compute_capability), 0)
 
     started = time.perf_counter()
-    logger = Logger()
-    builder = trt.Builder(logger)
-    network = builder.create_network(1 << int(trt.NetworkDefinitionCreationFlag.STRONGLY_TYPED))
-    parser = trt.OnnxParser(network, logger)
-    if not parser.parse_from_file(model):
-        problem = parser.get_error(0)
-        return {"error": f"node '{problem.node_name()}' ({problem.node_operator()}): {problem.desc()}"}
-    config = builder.create_builder_config()
-    if shapes is not None:
-        profile = builder.create_optimization_profile()
-        profile.set_shape(network.get_input(0).name, *map(tuple, shapes))
-        config.add_optimization_profile(profile)
-    if not hasattr(trt.ComputeCapability, compute_capability):
-        known = [name for name in trt.ComputeCapability.__members__ if name.startswith("SM")]
-        return {"error": f"TensorRT for RTX {trt.__version__} builds for {', '.join(known)}, not for this one"}
-    config.num_compute_capabilities = 1
-    config.set_compute_capability(getattr(trt.ComputeCapability, compute_capability), 0)
-    engine = builder.build_serialized_network(network, config)
-    if engine is None:
-        return {"error": logger.errors[0] if logger.errors else "no engine, and no reason given"}
-    return {"bytes": engine.nbytes, "seconds": time.perf_counter() - started, "version": trt.__version__}
+    try:
+        plan = build_plan(trt, Path(model).read_bytes(), shapes, configure)
+    except RefusedModelError as error:
+        return {"error": str(error)}
+    return {"bytes": plan.nbytes, "seconds": time.perf_counter() - started}
 
 
 if __name__ == "__main__":

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from autolights.core import ModelInfo
-from autolights.train.deliver.heads import MIN_DYNAMIC_SIDE
-from autolights.train.network.model import MAX_STRIDE
+from autolights.infer.letterbox import STRIDE
 
+MIN_DYNAMIC_SIDE = 96  # px; a square of it has 567 rows, enough candidates for suppression in the graph
 MAX_BATCH = 8  # images at once: more cameras than a car has
 Shape: TypeAlias = tuple[int, int, int, int]
 
@@ -22,7 +22,7 @@ class InputShapes(NamedTuple):
 def input_shapes(info: ModelInfo) -> InputShapes:
     """From one to eight images; from the smallest size that the head takes to twice the described sides."""
     width, height = info.size_wh
-    least = MIN_DYNAMIC_SIDE if info.head == "end2end" else MAX_STRIDE
+    least = MIN_DYNAMIC_SIDE if info.head == "end2end" else STRIDE
     most_images = MAX_BATCH if info.dynamic_batch else 1
     if info.dynamic_size:
         return InputShapes((1, 3, least, least), (1, 3, height, width), (most_images, 3, 2 * height, 2 * width))
