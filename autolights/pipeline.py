@@ -29,7 +29,7 @@ from autolights.core import (
     TrafficLightMap,
 )
 from autolights.core.boxes import area
-from autolights.core.errors import MapError, PoseError, UsageError
+from autolights.core.errors import DataError, MapError, PoseError, UsageError
 from autolights.core.estimates import Variant
 from autolights.infer import Detector, Region
 from autolights.track import (
@@ -264,6 +264,36 @@ class LightPipeline:
     def health(self) -> dict[str, CameraHealth]:
         """What each camera's images say of its calibration; empty without `alignment`."""
         return {name: alignment.health() for name, alignment in self._alignments.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """All that is remembered but poses, as JSON-ready values; `restore` goes on from there with equal estimates."""
+        return {
+            "last_set_ns": self._last_set_ns,
+            "detected_sets": self._detected_sets,
+            "tracks": self._tracks.to_json(),
+            "places": None if self._places is None else self._places.to_json(),
+            "alignments": {name: alignment.to_json() for name, alignment in self._alignments.items()},
+        }
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Go on from where `to_json` left off, in a pipeline of the same map, cameras and settings.
+
+        Raises:
+            DataError: If the state is of something else, or is damaged; the pipeline is not to be used then.
+        """
+        try:
+            self._tracks.restore(values["tracks"])
+            if (self._places is None) != (values["places"] is None) or set(values["alignments"]) != set(
+                self._alignments
+            ):
+                raise DataError("pipeline state: was saved with other settings of places, alignment or cameras")
+            if self._places is not None:
+                self._places.restore(values["places"])
+            for name, alignment in self._alignments.items():
+                alignment.restore(values["alignments"][name])
+            self._last_set_ns, self._detected_sets = values["last_set_ns"], int(values["detected_sets"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"pipeline state: damaged ({type(error).__name__}: {error}); start without it") from error
 
     def explain(self) -> dict[str, Any]:
         """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs and beliefs."""

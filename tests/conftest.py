@@ -98,6 +98,7 @@ class Scene:
     speed_mps: float = 5.0
     noise_px: float = 0.0
     accuracy: float = 0.98
+    groups: bool = False  # all lights of the map belong to one signal group
 
     def __post_init__(self) -> None:
         rig = {"narrow": make_camera("narrow", 47.3, 64.0), "wide": make_camera("wide", 85.7, 40.0)}
@@ -115,6 +116,7 @@ class Scene:
             positions=np.array([ORIGIN + at for _, at in lights.values()]).reshape(-1, 3),
             headings_deg=np.full(len(lights), 270.0),
             sizes_m=self.signals.sizes_m(types),
+            groups=("one",) * len(lights) if self.groups else (),
         )
 
     def pose(self, t: float) -> Pose:
@@ -151,8 +153,10 @@ class Scene:
 
     def step(self, pipeline: LightPipeline, t: float, cameras: Iterable[str] | None = None) -> list[LightEstimate]:
         names = list(self.rig if cameras is None else cameras)
-        shots = [Shot(name, round(t * 1e9)) for name in names]
-        return pipeline.step_detections(shots, [self.detect(name, t) for name in names])
+        return pipeline.step_detections(self.shots(t, names), [self.detect(name, t) for name in names])
+
+    def shots(self, t: float, cameras: Iterable[str] | None = None) -> list[Shot]:
+        return [Shot(name, round(t * 1e9)) for name in (self.rig if cameras is None else cameras)]
 
     def drive(
         self, times: Iterable[float], config: PipelineConfig | None = None, cameras: Iterable[str] | None = None

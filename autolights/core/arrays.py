@@ -1,5 +1,6 @@
 """Array types and the checks that frozen dataclasses of arrays make once."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -24,7 +25,17 @@ def as_float_array(values: Any, shape: Sequence[int | None], name: str, *, finit
     Raises:
         ValueError: If the shape differs or a value is not finite.
     """
-    array = np.asarray(values, dtype=np.float64)
+    array: FloatArray = np.asarray(values, dtype=np.float64)
+    if array.shape != shape:
+        array = _fitted(array, shape, name)
+    if finite and not math.isfinite(array.sum()) and not np.isfinite(array).all():  # a sum costs less, but may overflow
+        raise ValueError(f"{name} must be finite, got {np.count_nonzero(~np.isfinite(array))} NaN or infinite values")
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _fitted(array: FloatArray, shape: Sequence[int | None], name: str) -> FloatArray:
     if array.size == 0 and len(shape) > 1 and shape[0] is None:
         array = array.reshape(0, *(length or 0 for length in shape[1:]))
     matches = array.ndim == len(shape) and all(
@@ -33,8 +44,4 @@ def as_float_array(values: Any, shape: Sequence[int | None], name: str, *, finit
     if not matches:
         wanted = ", ".join("n" if length is None else str(length) for length in shape)
         raise ValueError(f"{name} must have shape ({wanted}), got {array.shape}")
-    if finite and not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {np.count_nonzero(~np.isfinite(array))} NaN or infinite values")
-    view = array.view()
-    view.flags.writeable = False
-    return view
+    return array

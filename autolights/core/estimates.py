@@ -66,13 +66,20 @@ class LightEstimate:
         if self.covariance is not None:
             object.__setattr__(self, "covariance", as_float_array(self.covariance, (3, 3), "covariance"))
 
+    @classmethod
+    def of_filter(cls, **fields: Any) -> Self:
+        """An estimate of all fields; `position` and `covariance` are arrays that the filter's own numbers made."""
+        estimate = object.__new__(cls)
+        estimate.__dict__.update(fields)
+        return estimate
+
     def at(self, position: FloatArray, covariance: FloatArray, *, vehicle: FloatArray) -> "LightEstimate":
         """The same light elsewhere: (3,) metres, (3, 3) m², seen from a vehicle at (3,) metres."""
         # Built by hand: checking a position that comes from a filter would cost more than the filter.
-        moved = object.__new__(LightEstimate)
         distance_m = math.dist(position.tolist(), vehicle.tolist())
-        moved.__dict__.update(self.__dict__, position=position, covariance=covariance, distance_m=distance_m)
-        return moved
+        return self.of_filter(
+            **(vars(self) | {"position": position, "covariance": covariance, "distance_m": distance_m})
+        )
 
     def to_json(self) -> dict[str, Any]:
         """One entry of `lights` in a line of ``estimates.jsonl`` (DESIGN: Files); the line holds the stamp."""

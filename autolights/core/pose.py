@@ -3,6 +3,7 @@
 from bisect import bisect_left, insort
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,10 +34,12 @@ class Pose:
         object.__setattr__(self, "position", as_float_array(self.position, (3,), "position"))
         object.__setattr__(self, "quaternion_xyzw", quaternion / length)
 
-    @property
+    @cached_property
     def utm_from_ins(self) -> FloatArray:
         """(4, 4) vehicle frame to map frame."""
-        return rigid(matrix_from_quaternion(self.quaternion_xyzw), self.position)
+        matrix = rigid(matrix_from_quaternion(self.quaternion_xyzw), self.position)
+        matrix.flags.writeable = False
+        return matrix
 
 
 class PoseBuffer:

@@ -139,11 +139,17 @@ class SignalSet(Config):
                         raise ValueError(f"class '{class_name}': the weight of '{successor}' must be positive")
                 if not state.next and len(light_type.states) > 1:
                     raise ValueError(f"class '{class_name}' has no successor: it could never be left")
+                if state.min_s > state.mean_s:
+                    raise ValueError(
+                        f"class '{class_name}': its least duration min_s of {state.min_s:g} s is above its expected "
+                        f"one, mean_s of {state.mean_s:g} s"
+                    )
             _check_reachable(type_name, light_type)
             for pair in light_type.flashing:
                 for class_name in (pair.on, pair.off, pair.reported):
                     if class_name not in light_type.states:
                         raise ValueError(f"flashing pair of type '{type_name}' names the unknown class '{class_name}'")
+                _check_pair(type_name, light_type, pair)
         if sorted(owner) != sorted(self.classes):
             odd = set(owner) ^ set(self.classes)
             raise ValueError(f"classes and the states of all types must be the same names; only in one: {sorted(odd)}")
@@ -215,6 +221,21 @@ class SignalSet(Config):
 def load_signals(path: Path | str = "signals/autolights_13") -> SignalSet:
     """Read a signal description: a file, or the name of a shipped one."""
     return load_config(path, SignalSet)
+
+
+def _check_pair(type_name: str, light_type: LightType, pair: FlashingPair) -> None:
+    on, off = light_type.states[pair.on], light_type.states[pair.off]
+    what = f"flashing pair '{pair.on}', '{pair.off}' of type '{type_name}'"
+    if pair.reported not in (pair.on, pair.off):
+        raise ValueError(f"{what} is reported as '{pair.reported}', which is neither of them")
+    if off.lit or not on.lit:
+        raise ValueError(f"{what}: the on state must light a lamp and the off state none, a flash needs a dark class")
+    if pair.off not in on.next or pair.on not in off.next:
+        raise ValueError(f"{what} cannot alternate: each must be among the successors (next) of the other")
+    if not 0 < pair.period_s[0] <= pair.period_s[1]:
+        raise ValueError(f"{what}: period_s must rise from above 0, got {list(pair.period_s)}")
+    if not 0 < pair.on_ratio[0] <= pair.on_ratio[1] < 1:
+        raise ValueError(f"{what}: on_ratio must rise within (0, 1), got {list(pair.on_ratio)}")
 
 
 def _check_reachable(type_name: str, light_type: LightType) -> None:

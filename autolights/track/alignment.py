@@ -10,6 +10,7 @@ References:
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -147,6 +148,16 @@ class CameraAlignment:
                 self._error, self._covariance, self._stamp_ns = error, covariance, stamp_ns
         left = np.einsum("nij,jk,nik->n", jacobians, covariance, jacobians) / 2  # mean over the two axes
         return Alignment(self._camera, error, jacobians @ error, np.sqrt(sigmas_px**2 + left), pairs)
+
+    def to_json(self) -> dict[str, Any]:
+        """All that is remembered, as JSON-ready values."""
+        return {"error": self._error.tolist(), "covariance": self._covariance.tolist(), "stamp_ns": self._stamp_ns}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Go on from where `to_json` left off."""
+        self._error = np.array(values["error"], dtype=np.float64).reshape(4)
+        self._covariance = np.array(values["covariance"], dtype=np.float64).reshape(4, 4)
+        self._stamp_ns = values["stamp_ns"]
 
     def _predicted(self, stamp_ns: int) -> FloatArray:
         """Covariance before the image, never wider than at the start."""

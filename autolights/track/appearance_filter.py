@@ -21,7 +21,7 @@ References:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -31,6 +31,7 @@ from autolights.track.hidden_chain import HiddenChain
 
 _SLIP = 1e-3  # how often one look shows something else than the appearance, within the same instant
 _SHARPNESS = 4.0  # power of a class vector: an appearance is what the detector says most, and a tie is one
+_CACHED = 64  # frame times
 _DOUBT_WIDTH = 0.02  # how gradually "sure" becomes "in doubt", so that a look on the threshold is not two by turns
 
 
@@ -51,6 +52,9 @@ class AppearanceFilter:
     looks_if_seen: FloatArray
     error_duration_s: float
     first: FloatArray
+    _found: FloatArray
+    _ones: FloatArray
+    _steps: dict[int, tuple[float, FloatArray, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, chain: HiddenChain, params: HmmParameters, *, error_duration_s: float) -> Self:
@@ -68,7 +72,10 @@ class AppearanceFilter:
         looks = by_class[:, chain.class_of]
         found = looks[:-1].sum(axis=0)
         if_seen = np.divide(looks[:-1], found, out=np.zeros_like(looks[:-1]), where=found > 0)
-        return cls(chain, looks, if_seen, error_duration_s, looks * chain.initial)
+        first = looks * chain.initial
+        # Rows of ones sum over appearances faster than a reduction along the middle axis.
+        ones = np.append(np.ones(len(looks) - 1), 0.0)
+        return cls(chain, looks, if_seen, error_duration_s, first, found, ones)
 
     def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
         """Let time pass.
@@ -77,19 +84,28 @@ class AppearanceFilter:
             beliefs: (n, c, K).
             duration_ms: Since they were made.
         """
-        change, stay = self.chain.over(duration_ms)
-        rho = self._persistence(duration_ms)
-        moved = beliefs @ (rho * stay)
-        seen = beliefs[:, :-1].sum(axis=1) @ change
-        missed = beliefs[:, -1] @ change
-        moved[:, -1] = rho * missed
-        changed = (rho * seen - moved[:, :-1].sum(axis=1)).clip(min=0)
-        moved += ((1 - rho) * (seen + missed))[:, None, :] * self.looks
-        moved[:, :-1] += changed[:, None, :] * self.looks_if_seen
-        return np.asarray(moved)
+        step = self._steps.get(duration_ms)
+        if step is None:
+            if len(self._steps) >= _CACHED:
+                del self._steps[next(iter(self._steps))]
+            step = self._steps[duration_ms] = self._step(duration_ms)
+        rho, change, stay, jump = step
+        n, c, k = beliefs.shape
+        moved = np.empty((n, c, k))
+        np.matmul(beliefs[:, :-1], stay, out=moved[:, :-1])
+        seen, missed = self._ones @ beliefs, beliefs[:, -1]
+        jumped = seen @ jump
+        seen, missed = seen @ change, missed @ change
+        fresh = (1 - rho) * (seen + missed)
+        moved[:, :-1] += (fresh * self._found + jumped)[:, None, :] * self.looks_if_seen
+        moved[:, -1] = rho * missed + fresh * self.looks[-1]
+        return moved
 
-    def _persistence(self, duration_ms: int) -> float:
-        return float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
+    def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """ρ, A, ρ S and ρ (A − S)."""
+        change, stay = self.chain.over(duration_ms)
+        rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
+        return rho, change, rho * stay, rho * (change - stay).clip(min=0)
 
     def update(self, beliefs: FloatArray, likelihood: FloatArray) -> FloatArray:
         """Take in what cameras saw at one instant.
@@ -102,14 +118,19 @@ class AppearanceFilter:
             (n, c, K). Where the model calls a look impossible, it is believed as at first sight.
         """
         posterior = beliefs * likelihood[:, :, None]
-        mass = posterior.sum(axis=(1, 2))
+        mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
         if not mass.all():
             lost = mass == 0
             posterior[lost] = self.first * likelihood[lost][:, :, None]
             mass = posterior.sum(axis=(1, 2))
             posterior[mass == 0] = self.first
             mass = posterior.sum(axis=(1, 2))
-        return np.asarray(posterior / mass[:, None, None])
+        posterior /= mass[:, None, None]
+        return posterior
+
+    def states(self, beliefs: FloatArray) -> FloatArray:
+        """(n, K) belief in each hidden state, whatever it looks like."""
+        return np.asarray(np.ones(beliefs.shape[1]) @ beliefs)
 
     def update_together(self, beliefs: FloatArray, likelihood: FloatArray, groups: FloatArray) -> FloatArray:
         """`update` for lights of which some show the same state: what is seen of one is evidence for all of its group.
@@ -121,9 +142,9 @@ class AppearanceFilter:
             likelihood: (n, c).
             groups: (g, n) 1 where a light belongs to a group; each to exactly one.
         """
-        before = beliefs.sum(axis=1)
+        before = self.states(beliefs)
         posterior = beliefs * likelihood[:, :, None]
-        after = posterior.sum(axis=1)
+        after = self.states(posterior)
         with np.errstate(divide="ignore", invalid="ignore"):
             evidence = np.log(np.where(before > 0, after / before, 1.0))
             state = np.log(before) + groups.T @ (groups @ evidence)

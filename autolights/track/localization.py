@@ -3,7 +3,7 @@
 import numpy as np
 
 from autolights.core import CameraModel, FloatArray, Pose, back_project
-from autolights.core.transforms import invert_rigid, matrix_from_quaternion, transform_points
+from autolights.core.transforms import invert_rigid, transform_points
 
 
 def localize(box_xyxy: FloatArray, light_size_m: FloatArray, camera: CameraModel, pose: Pose) -> FloatArray:
@@ -53,30 +53,31 @@ def localize_boxes(boxes_xyxy: FloatArray, sizes_m: FloatArray, camera: CameraMo
 
 
 def localization_information(
-    position: FloatArray, height_m: float, camera: CameraModel, pose: Pose, *, box_sigma_px: float
+    positions: FloatArray, heights_m: FloatArray | float, camera: CameraModel, pose: Pose, *, box_sigma_px: float
 ) -> FloatArray:
-    """How much one localisation says: the inverse of its covariance.
+    """How much localisations say: the inverses of their covariances.
 
     With edges off by σ px, the height is off by √2 σ and the centre by σ / √2. Depth = f·H / h, so its error grows
     with the square of the distance: z² √2 σ / (f H); across the ray it is z σ / (√2 f).
 
     Args:
-        position: (3,) metres, map frame, as `localize` gave it.
-        height_m: Of the housing.
+        positions: (..., 3) metres, map frame, as `localize` gave them.
+        heights_m: (...) of the housings.
         camera: The camera.
         pose: The vehicle's at the image's stamp.
         box_sigma_px: Standard deviation of a box's edges.
 
     Returns:
-        (3, 3) 1/m², symmetric, positive definite.
+        (..., 3, 3) 1/m², symmetric, positive definite.
     """
     mount = camera.cam_from_ins
-    lens = pose.position - matrix_from_quaternion(pose.quaternion_xyzw) @ (mount[:3, :3].T @ mount[:3, 3])
-    ray = position - lens
-    distance_m = float(np.linalg.norm(ray))
-    direction = ray / distance_m
+    lens = pose.position - pose.utm_from_ins[:3, :3] @ (mount[:3, :3].T @ mount[:3, 3])
+    rays = positions - lens
+    distances_m = np.sqrt((rays * rays).sum(axis=-1))
     focal_px = float(camera.intrinsics[1, 1])
-    along_m = distance_m**2 * np.sqrt(2) * box_sigma_px / (focal_px * height_m)
-    across_m = distance_m * box_sigma_px / (np.sqrt(2) * focal_px)
-    outer = np.outer(direction, direction)
-    return np.asarray(outer / along_m**2 + (np.eye(3) - outer) / across_m**2)
+    along_m = distances_m**2 * np.sqrt(2) * box_sigma_px / (focal_px * heights_m)
+    across_m = distances_m * box_sigma_px / (np.sqrt(2) * focal_px)
+    # I / across² + (1 / along² − 1 / across²) d dᵀ with the ray's direction d
+    scaled = rays / distances_m[..., None] * (1 / along_m**2 - 1 / across_m**2)[..., None]
+    outer = scaled[..., :, None] * (rays / distances_m[..., None])[..., None, :]
+    return np.asarray(outer + np.eye(3) / np.square(across_m)[..., None, None])

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from autolights.core import (
-    BoolArray,
     CameraView,
     FloatArray,
     HmmParameters,
@@ -19,9 +18,11 @@ from autolights.core.errors import DataError
 from autolights.track.config import TrackConfig
 from autolights.track.linking import link_across_cameras
 from autolights.track.localization import localization_information
+from autolights.track.misses import in_plain_view
 from autolights.track.observation import CameraObservation
 from autolights.track.paper_states import PaperStates
 from autolights.track.projection import ANY_TYPE
+from autolights.track.reporting import Reporter
 from autolights.track.signal_groups import group_numbers
 from autolights.track.states import LightStates, Looks, Reports
 from autolights.track.timed_states import TimedStates
@@ -68,6 +69,7 @@ class TrackManager:
         self._heights_m = np.array([signals.types[name].height_m for name in self._type_names])
         self._map_types = np.array([self._type_names.index(name) for name in lights.types], dtype=np.int64)
         self._map_groups = group_numbers(lights)
+        self._reporter = Reporter(lights, signals, config)
         self._table = TrackTable.empty(len(self._type_names))
         make = TimedStates if config.mode == "timed" else PaperStates
         self._states: LightStates = make(signals, hmm, config)
@@ -121,23 +123,8 @@ class TrackManager:
 
     def explain(self) -> list[dict[str, Any]]:
         """What is known of each light and which rule made its report, as JSON-ready values."""
-        table, set_ns = self._table, self._last_set_ns or 0
-        ages_s, stale = table.age_s(set_ns).tolist(), table.stale(set_ns, self._config).tolist()
-        told = []
-        for row in range(len(table)):
-            map_row = int(table.map_rows[row])
-            told.append(
-                {
-                    "track_id": int(table.ids[row]),
-                    "map_id": None if map_row < 0 else self._lights.ids[map_row],
-                    "alive": bool(table.alive[row]),
-                    "hits": int(table.hits[row]),
-                    "misses": int(table.misses[row]),
-                    "rule": self._rule(row, ages_s[row], stale[row]),
-                    **self._states.explain(row),
-                }
-            )
-        return told
+        told = self._reporter.explain(self._table, self._reports, self._last_set_ns or 0)
+        return [{**entry, **self._states.explain(row)} for row, entry in enumerate(told)]
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values; `restore` goes on from there with equal estimates."""
@@ -207,17 +194,13 @@ class TrackManager:
         left = association.unmatched_lights
         left = left[projected.expected[left]]
         missed = self._rows_of(projected.indices[left])
-        tracked = missed >= 0
-        left, missed = left[tracked], missed[tracked]
+        left, missed = left[missed >= 0], missed[missed >= 0]
         for row in missed.tolist():
             self._views.setdefault(row, []).append(CameraView(camera, stamp_ns, None))
-        telling = missed
         if len(missed):
-            expected = projected.boxes_xyxy[left]
-            tall = expected[:, 3] - expected[:, 1] >= self._config.min_missed_px
-            telling = missed[tall & ~_any_overlap(expected, boxes)]
+            missed = missed[in_plain_view(projected.boxes_xyxy[left], boxes, min_height_px=self._config.min_missed_px)]
         self._remember(rows, observation, detections)
-        return _Seen(observation, rows, detections, telling)
+        return _Seen(observation, rows, detections, missed)
 
     def _rows_of(self, known: IntArray) -> IntArray:
         """Rows of the table for rows of map and index; −1 for a map light that has no track."""
@@ -257,18 +240,22 @@ class TrackManager:
         if len(anew):
             self._states.start_anew(anew, table.types[anew])
         self._touched[rows] = True
-        unmapped = np.flatnonzero(table.map_rows[rows] < 0)
-        class_types = self._class_types[observation.detections.class_ids[detections]]
-        for i in unmapped.tolist():
-            row, detection, seen_type = int(rows[i]), int(detections[i]), int(class_types[i])
-            votes = table.type_votes[row]
-            votes[seen_type] += 1
-            voted = int(table.types[row])
-            if votes.max() > votes[voted]:
-                voted = int(np.argmax(votes))
-                table.types[row] = voted
-                self._states.start_anew(np.array([row]), np.array([voted]))
-            table.refine_position(row, observation.positions[detection], self._information(observation, detection))
+        unmapped = table.map_rows[rows] < 0
+        if unmapped.any():
+            self._learn(rows[unmapped], observation, detections[unmapped])
+
+    def _learn(self, rows: IntArray, observation: CameraObservation, detections: IntArray) -> None:
+        """Let unmapped lights be typed and placed by what was seen."""
+        table = self._table
+        seen_types = self._class_types[observation.detections.class_ids[detections]]
+        table.type_votes[rows, seen_types] += 1
+        votes = table.type_votes[rows]
+        outvoted = votes.max(axis=1) > votes[np.arange(len(rows)), table.types[rows]]
+        if outvoted.any():
+            table.types[rows[outvoted]] = np.argmax(votes[outvoted], axis=1)
+            self._states.start_anew(rows[outvoted], table.types[rows[outvoted]])
+        information = self._information(observation, detections)
+        table.refine_positions(rows, observation.positions[detections], information)
 
     def _start_tracks(self, observations: Sequence[CameraObservation], set_ns: int) -> list[_Seen]:
         """Make tentative tracks of the detections that nobody knew; what two cameras see twice becomes one."""
@@ -300,18 +287,18 @@ class TrackManager:
             map_rows=np.full(len(detections), -1, dtype=np.int64),
             types=types,
             positions=positions,
-            information=np.array([self._information(observation, i) for i in detections.tolist()]).reshape(-1, 3, 3),
+            information=self._information(observation, detections),
             headings_deg=np.degrees(np.arctan2(east, north)),
             set_ns=set_ns,
         )
         self._table.type_votes[rows, types] += 1
         return rows
 
-    def _information(self, observation: CameraObservation, detection: int) -> FloatArray:
-        seen_type = self._class_types[observation.detections.class_ids[detection]]
+    def _information(self, observation: CameraObservation, detections: IntArray) -> FloatArray:
+        seen_types = self._class_types[observation.detections.class_ids[detections]]
         return localization_information(
-            observation.positions[detection],
-            float(self._heights_m[seen_type]),
+            observation.positions[detections],
+            self._heights_m[seen_types],
             observation.camera,
             observation.pose,
             box_sigma_px=self._config.box_sigma_px,
@@ -373,72 +360,8 @@ class TrackManager:
         )
 
     def _estimates(self, observations: Sequence[CameraObservation], set_ns: int) -> list[LightEstimate]:
-        self._reports = reports = self._states.report()
+        self._reports = self._states.report()
         if not observations:
             return []
-        table, classes = self._table, self._signals.classes
-        in_view = np.zeros(len(table), dtype=bool)
-        in_view[list(self._views)] = True
-        rows = np.flatnonzero(table.known & (in_view | (table.age_s(set_ns) <= self._config.max_coast_s)))
-        withheld = table.stale(set_ns, self._config) | reports.doubtful
-        offsets = table.positions[rows] - observations[-1].pose.position
-        columns = zip(
-            rows.tolist(),
-            table.ids[rows].tolist(),
-            table.map_rows[rows].tolist(),
-            table.types[rows].tolist(),
-            reports.class_ids[rows].tolist(),
-            reports.probability[rows].tolist(),
-            reports.flashing[rows].tolist(),
-            withheld[rows].tolist(),
-            np.sqrt(np.einsum("ij,ij->i", offsets, offsets)).tolist(),
-            table.last_seen_ns[rows].tolist(),
-            strict=True,
-        )
-        return [
-            LightEstimate(
-                stamp_ns=set_ns,
-                track_id=track_id,
-                map_id=None if map_row < 0 else self._lights.ids[map_row],
-                type=self._type_names[type_index],
-                class_name=classes[class_id],
-                probability=probability,
-                flashing=flashing,
-                withheld=hold,
-                position=table.positions[row].copy(),
-                covariance=None if map_row >= 0 else np.linalg.inv(table.information[row]),
-                distance_m=distance_m,
-                last_seen_ns=last_seen_ns,
-                views=tuple(self._views.get(row, ())),
-            )
-            for (
-                row,
-                track_id,
-                map_row,
-                type_index,
-                class_id,
-                probability,
-                flashing,
-                hold,
-                distance_m,
-                last_seen_ns,
-            ) in columns
-        ]
-
-    def _rule(self, row: int, age_s: float, stale: bool) -> str:
-        """What decided over the latest report of a light."""
-        table, config = self._table, self._config
-        if not table.known[row]:
-            return f"not born: {table.hits[row]} of {config.birth_hits} detections in a row"
-        if stale:
-            return f"withheld: not seen for {age_s:.2f} s"
-        said = "restored" if self._reports is None else self._reports.rules[row]
-        return said if age_s == 0 else f"{said}; coasting for {age_s:.2f} s"
-
-
-def _any_overlap(boxes: FloatArray, others: FloatArray) -> BoolArray:
-    """(n,) whether any of (m, 4) other boxes touches each of (n, 4) boxes: what is detected there may hide it."""
-    lows = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    highs = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    touching = np.all(highs > lows, axis=2)
-    return np.asarray(touching.any(axis=1), dtype=np.bool_)
+        vehicle = observations[-1].pose.position
+        return self._reporter.estimates(self._table, self._reports, self._views, vehicle, set_ns)

@@ -76,22 +76,23 @@ class Outcomes:
         )  # fmt: skip
         return cls(names, membership, contradiction)
 
-    def choose(self, belief: FloatArray, *, max_go_risk: float, min_probability: float) -> Choice:
-        """Choose what to say.
 
-        The most probable outcome, unless it says "go" to a movement and the belief that this movement is told to stop
-        exceeds `max_go_risk`: then the most probable of the others, as a rule what was said before the change. Where
-        that is too doubtful, the most probable outcome is named, but not to be acted upon.
+def choose(mass: FloatArray, contradiction: FloatArray, *, max_go_risk: float, min_probability: float) -> Choice:
+    """Choose what to say of lights of mixed types.
 
-        Args:
-            belief: (n, K).
-            max_go_risk: Largest belief in "stop" under which "go" is said.
-            min_probability: What is less probable is not to be acted upon.
-        """
-        mass = belief @ self.membership
-        risky = mass @ self.contradiction.T > max_go_risk
-        every = np.arange(len(mass))
-        likely, safe = np.argmax(mass, axis=1), np.argmax(np.where(risky, -1.0, mass), axis=1)
-        doubtful = (mass[every, safe] < min_probability) | risky[every, safe]
-        chosen = np.where(doubtful, likely, safe)
-        return Choice(chosen, mass[every, chosen], go_held=chosen != likely, doubtful=doubtful)
+    The most probable outcome, unless it says "go" to a movement and the belief that this movement is told to stop
+    exceeds `max_go_risk`: then the most probable of the others, as a rule what was said before the change. Where that
+    is too doubtful, the most probable outcome is named, but not to be acted upon.
+
+    Args:
+        mass: (n, g) belief in each outcome, 0 where a light's type has fewer.
+        contradiction: (n, g, g) `Outcomes.contradiction` of each light's type.
+        max_go_risk: Largest belief in "stop" under which "go" is said.
+        min_probability: What is less probable is not to be acted upon.
+    """
+    risky = (contradiction @ mass[:, :, None])[:, :, 0] > max_go_risk
+    every = np.arange(len(mass))
+    likely, safe = np.argmax(mass, axis=1), np.argmax(np.where(risky, -1.0, mass), axis=1)
+    doubtful = (mass[every, safe] < min_probability) | risky[every, safe]
+    chosen = np.where(doubtful, likely, safe)
+    return Choice(chosen, mass[every, chosen], go_held=chosen != likely, doubtful=doubtful)

@@ -208,7 +208,8 @@ class PaperStates:
             flashing=np.array([state.flashing for state in told], dtype=bool),
             probability=np.array([state.probability for state in told]),
             doubtful=np.zeros(n, dtype=bool),
-            rules=["duty cycle or belief" if state.flashing else "belief" for state in told],
+            go_held=np.zeros(n, dtype=bool),
+            shares=np.zeros(n, dtype=bool),
             disputed=np.zeros(n, dtype=bool),
         )
 

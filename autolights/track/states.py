@@ -33,27 +33,22 @@ class Reports:
         flashing: (n,) whether the indication flashes.
         probability: (n,) belief.
         doubtful: (n,) too doubtful to act upon.
-        rules: What decided, in words.
-        disputed: (n,) whether the light is at odds with the others of its signal group.
+        go_held: (n,) a "go" was more probable, but not certain enough.
+        shares: (n,) what was seen of its signal group counts.
+        disputed: (n,) it is at odds with the others of its group.
     """
 
     class_ids: IntArray
     flashing: BoolArray
     probability: FloatArray
     doubtful: BoolArray
-    rules: Sequence[str]
+    go_held: BoolArray
+    shares: BoolArray
     disputed: BoolArray
 
     def take(self, rows: IntArray) -> "Reports":
         """What is said of these tracks."""
-        return Reports(
-            self.class_ids[rows],
-            self.flashing[rows],
-            self.probability[rows],
-            self.doubtful[rows],
-            [self.rules[row] for row in rows.tolist()],
-            self.disputed[rows],
-        )
+        return Reports(**{name: column[rows] for name, column in vars(self).items()})
 
 
 class LightStates(Protocol):

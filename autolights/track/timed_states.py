@@ -10,7 +10,7 @@ from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, Sign
 from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
 from autolights.track.config import TrackConfig
 from autolights.track.hidden_chain import HiddenChain
-from autolights.track.outcomes import Outcomes
+from autolights.track.outcomes import Outcomes, choose
 from autolights.track.signal_groups import GroupDisputes, share
 from autolights.track.states import Looks, Reports
 
@@ -24,8 +24,6 @@ class _Model:
     states: tuple[str, ...]
     filter: AppearanceFilter
     outcomes: Outcomes
-    outcome_class_ids: IntArray
-    outcome_flashing: BoolArray
     class_membership: FloatArray  # (K, k)
     appearances: IntArray  # (c,) among those of the type with most states
 
@@ -44,8 +42,6 @@ class _Model:
             states=params.states,
             filter=AppearanceFilter.of(chain, params, error_duration_s=config.error_duration_s),
             outcomes=outcomes,
-            outcome_class_ids=np.array([signals.class_ids[outcome.class_name] for outcome in outcomes.names]),
-            outcome_flashing=np.array([outcome.flashing for outcome in outcomes.names]),
             class_membership=np.eye(len(params.states))[chain.class_of],
             appearances=np.concatenate([np.arange(k), widest + np.arange(k), [2 * widest]]),
         )
@@ -103,6 +99,18 @@ class TimedStates:
         self._config = config
         widest = max(len(params.states) for params in hmm.values())
         self._models = [_Model.of(name, signals, hmm[name], widest, config) for name in signals.types]
+        count, outcomes = len(self._models), [model.outcomes for model in self._models]
+        most = max(len(own.names) for own in outcomes)
+        self._contradiction = np.zeros((count, most, most))
+        self._said_class_ids, self._said_flashing = (
+            np.zeros((count, most), dtype=np.int64),
+            np.zeros((count, most), bool),
+        )
+        for t, own in enumerate(outcomes):
+            g = len(own.names)
+            self._contradiction[t, :g, :g] = own.contradiction
+            self._said_class_ids[t, :g] = [signals.class_ids[name.class_name] for name in own.names]
+            self._said_flashing[t, :g] = [name.flashing for name in own.names]
         self._reader = LookReader.of([hmm[name] for name in signals.types], signals.class_ids)
         self._missed = miss_likelihood(widest)
         self._types: IntArray = np.empty(0, dtype=np.int64)
@@ -166,12 +174,20 @@ class TimedStates:
         n, k = len(self._types), len(self._missed) // 2
         said, sure = np.ones((n, k)), np.zeros((n, k))
         looked = self._looked = np.zeros(n, dtype=bool)
-        for look in looks:
-            if len(look.rows):
-                said_here, sure_here = self._reader.read(look.class_probs, self._types[look.rows])
-                said[look.rows] *= said_here
-                sure[look.rows] = np.maximum(sure[look.rows], sure_here)
-                looked[look.rows] = True
+        seen = [look for look in looks if len(look.rows)]
+        if seen:
+            # All cameras are read at once: each call costs more than its numbers.
+            rows = np.concatenate([look.rows for look in seen])
+            all_said, all_sure = self._reader.read(
+                np.concatenate([look.class_probs for look in seen]), self._types[rows]
+            )
+            start = 0
+            for look in seen:
+                here = slice(start, start + len(look.rows))
+                said[look.rows] *= all_said[here]
+                sure[look.rows] = np.maximum(sure[look.rows], all_sure[here])
+                start = here.stop
+            looked[rows] = True
         likelihood = np.where(looked[:, None], seen_likelihood(said, sure), 1.0)
         for look in looks:
             likelihood[look.missed[~looked[look.missed]]] = self._missed
@@ -191,7 +207,7 @@ class TimedStates:
             groups = self._groups[block.rows]
             if not (groups >= 0).any():
                 continue
-            beliefs = block.own.sum(axis=1) @ model.class_membership
+            beliefs = model.filter.states(block.own) @ model.class_membership
             self._disputes.judge(block.rows, groups, beliefs, alive[block.rows] & self._looked[block.rows], now_ms)
             may_join = alive[block.rows] & ~self._disputes.disputed[block.rows]
             joined = np.where(may_join, groups, -1)
@@ -204,26 +220,28 @@ class TimedStates:
 
     def report(self) -> Reports:
         """What is said of each track."""
-        n = len(self._types)
-        class_ids, flashing = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
-        probability, doubtful, held = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        n, types = len(self._types), self._types
+        mass, shares = np.zeros((n, self._contradiction.shape[1])), np.zeros(n, dtype=bool)
         for block, model in zip(self._blocks, self._models, strict=True):
             if len(block.rows):
-                choice = model.outcomes.choose(
-                    block.told.sum(axis=1),
-                    max_go_risk=self._config.max_go_risk,
-                    min_probability=self._config.min_probability,
-                )
-                class_ids[block.rows] = model.outcome_class_ids[choice.outcome]
-                flashing[block.rows] = model.outcome_flashing[choice.outcome]
-                probability[block.rows] = choice.probability
-                doubtful[block.rows] = choice.doubtful
-                held[block.rows] = choice.go_held
-        rules = [
-            "nothing is certain enough" if doubt else "a go is held back" if hold else "belief"
-            for doubt, hold in zip(doubtful.tolist(), held.tolist(), strict=True)
-        ]
-        return Reports(class_ids, flashing, probability, doubtful, rules, self._disputes.disputed.copy())
+                states = model.filter.states(block.told)
+                mass[block.rows, : len(model.outcomes.names)] = states @ model.outcomes.membership
+                shares[block.rows] = block.joined >= 0
+        choice = choose(
+            mass,
+            self._contradiction[types],
+            max_go_risk=self._config.max_go_risk,
+            min_probability=self._config.min_probability,
+        )
+        return Reports(
+            class_ids=self._said_class_ids[types, choice.outcome],
+            flashing=self._said_flashing[types, choice.outcome],
+            probability=choice.probability,
+            doubtful=choice.doubtful,
+            go_held=choice.go_held,
+            shares=shares,
+            disputed=self._disputes.disputed.copy(),
+        )
 
     def explain(self, row: int) -> dict[str, Any]:
         """Belief in each class, each outcome, the stage of its phase, and how the detector sees the light."""

@@ -131,11 +131,18 @@ class TrackTable:
         too_old = (self.age_s(set_ns) > config.max_coast_s) if config.mode == "timed" else False
         return np.asarray(~self.alive | too_old)
 
-    def refine_position(self, row: int, position: FloatArray, information: FloatArray) -> None:
-        """Average in one localisation of an unmapped light, each weighted by what it says (a static Kalman filter)."""
-        total = self.information[row] + information
-        self.information[row] = total
-        self.positions[row] += np.linalg.solve(total, information @ (position - self.positions[row]))
+    def refine_positions(self, rows: IntArray, positions: FloatArray, information: FloatArray) -> None:
+        """Average in localisations of unmapped lights, each weighted by what it says (a static Kalman filter).
+
+        Args:
+            rows: (m,) each at most once.
+            positions: (m, 3) metres.
+            information: (m, 3, 3) 1/m².
+        """
+        total = self.information[rows] + information
+        pull = np.einsum("mij,mj->mi", information, positions - self.positions[rows])
+        self.information[rows] = total
+        self.positions[rows] += np.linalg.solve(total, pull[..., None])[..., 0]
 
     def to_json(self) -> dict[str, Any]:
         """All columns as JSON-ready values."""

@@ -89,6 +89,13 @@ def test_sizes():
         pytest.param("3.states.3-red.mirror", "3-blue", "'3-red' of '3': unknown mirror class '3-blue'", id="mirror"),
         pytest.param("3.states.3-red.mean_s", 0, "greater than 0", id="duration"),
         pytest.param("4.flashing", [FOREIGN_PAIR], "flashing pair of type '4' names the unknown class", id="pair"),
+        pytest.param("3.states.3-red.min_s", 60, "'3-red': its least duration min_s of 60 s is above", id="min"),
+        pytest.param("4.flashing.0.off", "4-rleft", "the off state none, a flash needs a dark class", id="lit-off"),
+        pytest.param("4.states.4-yleft2.lit", [], "the on state must light a lamp", id="dark-on"),
+        pytest.param("4.flashing.0.reported", "4-rleft", "reported as '4-rleft', which is neither", id="reported"),
+        pytest.param("4.flashing.0.period_s", [1.2, 1.0], "period_s must rise from above 0", id="period"),
+        pytest.param("4.flashing.0.on_ratio", [0.5, 1.0], r"on_ratio must rise within \(0, 1\)", id="ratio"),
+        pytest.param("4.states.4-yleft2.next", {"4-yleft1": 1}, "'4-off' can never follow|cannot alternate", id="alt"),
         pytest.param("3.lamps.red.movements", [], "at least 1 item", id="a-lamp-that-speaks-to-nobody"),
         pytest.param("3.hieght_m", 1, r"unknown key 'hieght_m' in types.3; did you mean 'height_m'", id="typo"),
     ],
@@ -98,7 +105,7 @@ def test_descriptions_that_cannot_be(path, value, message):
     *parents, last = path.split(".")
     here = values["types"]
     for parent in parents:
-        here = here[parent]
+        here = here[int(parent) if parent.isdecimal() and isinstance(here, list) else parent]
     here[last] = value
 
     with pytest.raises(ConfigError, match=message):

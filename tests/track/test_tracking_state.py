@@ -1,0 +1,99 @@
+"""What tracking remembers: saved as plain JSON and gone on from, and bounded however long it runs."""
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from autolights.core import Detections, load_config
+from autolights.core.errors import DataError
+from autolights.pipeline import PipelineConfig
+from autolights.track import TrackConfig, TrackManager
+from autolights.track.association import Association
+from autolights.track.observation import CameraObservation
+from autolights.track.projection import ProjectedLights
+
+AHEAD = (40.0, 2.0, 5.0)
+
+
+def script(t: float) -> str:
+    return ("4-yleft2" if t % 1.1 < 0.62 else "4-off") if t < 3 else "4-yleft1"
+
+
+LIGHTS = {
+    "a": ("3", AHEAD, lambda t: "3-red" if t < 2.5 else "3-green"),
+    "b": ("3", (40.0, -1.0, 5.0), lambda t: "3-red" if t < 2.5 else "3-green"),
+    "f": ("4", (40.0, -4.0, 5.0), script),
+    "new": ("5dh", (40.0, 5.0, 5.0), lambda t: "5dh-green"),
+}
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_estimates_go_on_from_a_saved_state(make_scene: Callable, name: str) -> None:
+    config = load_config(f"runtime/{name}", PipelineConfig)
+    scene = make_scene(LIGHTS, off_map=frozenset({"new"}), cameras=("narrow", "wide"), noise_px=0.5, groups=True)
+    first, second = scene.pipeline(config), scene.pipeline(config)
+    times = np.arange(60) / 10
+    shots = [[scene.detect(camera, t) for camera in scene.rig] for t in times]
+
+    def step(pipeline, i):
+        return [e.to_json() for e in pipeline.step_detections(scene.shots(times[i]), shots[i])]
+
+    for i in range(27):
+        step(first, i)
+    second.restore(json.loads(json.dumps(first.to_json())))
+    for i in range(27, 60):
+        assert step(second, i) == step(first, i)
+    assert len(step(first, 59)) == 4
+
+
+def test_a_state_of_something_else_is_refused(make_scene: Callable) -> None:
+    scene = make_scene(LIGHTS)
+    pipeline = scene.pipeline()
+    scene.step(pipeline, 0.0)
+    saved = pipeline._tracks.to_json()
+    manager = scene.pipeline()._tracks
+    for change, message in (
+        ({"format": 99}, "format 99 is not 1"),
+        ({"signals": "other"}, "signals was 'other' when it was saved and is 'autolights_13' now"),
+        ({"config": {**saved["config"], "dwell_stages": 3}}, "setting track.dwell_stages was 3"),
+        ({"map_ids": ["gone"]}, "light 'gone' is not on the map"),
+        ({"tracks": {}}, r"damaged \(KeyError"),
+    ):
+        with pytest.raises(DataError, match=message):
+            manager.restore({**saved, **change})
+
+
+def look_at(manager: TrackManager, scene: object, t: float, places: np.ndarray) -> CameraObservation:
+    """One image whose detections are all new lights."""
+    n = len(places)
+    boxes = np.tile([100.0, 100.0, 110.0, 130.0], (n, 1))
+    probs = np.full((n, 13), 0.01)
+    probs[:, scene.signals.class_ids["3-red"]] = 0.9
+    none = np.empty(0, dtype=np.int64)
+    return CameraObservation(
+        camera=scene.rig["narrow"],
+        pose=scene.pose(t),
+        detections=Detections(boxes, np.full(n, 0.9), probs),
+        projected=ProjectedLights(none, np.empty(0, np.str_), np.empty((0, 4)), np.empty(0), np.empty(0, dtype=bool)),
+        cost=np.empty((0, n)),
+        association=Association(np.empty((0, 2), dtype=np.int64), none, np.arange(n)),
+        positions=places,
+        new_lights=np.arange(n),
+    )
+
+
+def test_memory_is_bounded_however_many_lights_pass(make_scene: Callable) -> None:
+    scene = make_scene({})
+    manager = TrackManager(scene.map, scene.signals, scene.hmm, TrackConfig(birth_hits=1, max_tracks=20))
+    rng = np.random.default_rng(0)
+    sizes = []
+    for i in range(200):
+        places = scene.pose(0).position + rng.uniform(20, 60, (3, 3))
+        manager.update([look_at(manager, scene, 0.0, places)], round(i * 1e8))
+        sizes.append(len(json.dumps(manager.to_json())))
+        assert len(manager) <= 20
+        assert len(manager.unmapped) <= 20
+    assert max(sizes[100:]) < 1.1 * max(sizes[20:100])
+    assert manager._table.ids.min() > 500, "the latest are kept"
