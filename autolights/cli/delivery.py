@@ -4,13 +4,16 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import typer
 
 from autolights.cli.options import Force, Out, Signals
 from autolights.core.errors import ConfigError, UsageError
 from autolights.core.model_info import Head, ModelInfo, Precision
+
+if TYPE_CHECKING:
+    from autolights.train.deliver.int8 import Int8Settings
 
 
 def export(
@@ -71,6 +74,26 @@ def export(
         list[str] | None,
         typer.Option(help="Of --check-tensorrt, e.g. 8.6; repeatable.  [default: 7.5, 8.0, 8.6, 8.9]"),
     ] = None,
+    calibrate: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True, help="Of int8: YOLO-format folder; its train part calibrates, its val part measures the loss."
+        ),
+    ] = None,
+    calibration: Annotated[
+        str,
+        typer.Option(help="Of int8: range of a tensor, from mse (least squared error), minmax or entropy."),
+    ] = "mse",
+    calibration_images: Annotated[int, typer.Option(min=1, help="Of int8: how many of the train part.")] = 200,
+    max_ap50_drop: Annotated[
+        float, typer.Option(min=0, max=1, help="Of int8: refuse a model that loses more AP50; 0.01 is one point.")
+    ] = 0.01,
+    int8_for: Annotated[
+        str,
+        typer.Option(
+            help="Who runs int8: tensorrt (fastest in OpenVINO too) or onnxruntime (on a CPU; TensorRT refuses it)."
+        ),
+    ] = "tensorrt",
     metrics: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="metrics.json of `val`, kept in the manifest.")
     ] = None,
@@ -86,11 +109,15 @@ def export(
     --image, at several batches and sizes where these are free; unless it says what the network says, nothing is
     written. The figures go into the description, and from there into the bundle's manifest.
 
+    int8 is accepted by its accuracy on labelled images: layers that lose too much stay in float, and where that does
+    not keep --max-ap50-drop nothing is written. Measure the file itself with `val`, for its own HMMs.
+
     \b
     Examples:
       autolights export runs/train/best.pt --size 960x608 --out runs/export/model.onnx
       autolights export runs/train/best.pt --head end2end --dynamic batch --image 'runs/images/images/val/*.jpg'
       autolights export runs/train/best.pt --precision fp16 --check-tensorrt --out runs/export/model.onnx
+      autolights export runs/train/best.pt --precision int8 --calibrate runs/images
       autolights export runs/bundle/model.onnx --tensorrt
     """
     from autolights.core.atomic import refuse_existing
@@ -124,6 +151,9 @@ def export(
         size_wh=(int(width), int(height)),
         head=cast(Head, head),
         precision=cast(Precision, precision),
+        int8=_int8_settings(calibrate, calibration, calibration_images, max_ap50_drop, int8_for)
+        if precision == "int8"
+        else None,
         half_io=half_io,
         dynamic_batch="batch" in (dynamic or ()),
         dynamic_size="size" in (dynamic or ()),
@@ -135,6 +165,10 @@ def export(
         training=read_json_object(metrics) if metrics else None,
     )
     typer.echo(f"{out}: {json.dumps(report.info.parity)}")
+    if report.info.accuracy:
+        from autolights.train.deliver.int8 import accuracy_as_text
+
+        typer.echo(accuracy_as_text(report.info.accuracy))
     tensorrt_work.run(out, report.info)
 
 
@@ -263,6 +297,28 @@ def bundle(
     made.save(out, force=force)
     Bundle.load(out)
     typer.echo(out)
+
+
+def _int8_settings(
+    data: Path | None, calibration: str, images: int, max_ap50_drop: float, target: str
+) -> "Int8Settings":
+    from autolights.data import load_image_dataset
+    from autolights.train.deliver.calibration import Calibration
+    from autolights.train.deliver.int8 import Int8Settings
+    from autolights.train.deliver.quantization import Int8Target
+
+    if data is None:
+        raise UsageError("--precision int8 needs --calibrate FOLDER with images to calibrate and to measure on")
+    _check_choice("--calibration", calibration, get_args(Calibration))
+    _check_choice("--int8-for", target, get_args(Int8Target))
+    return Int8Settings(
+        calibrate=load_image_dataset(data, "train"),
+        validate=load_image_dataset(data, "val"),
+        images=images,
+        method=cast(Calibration, calibration),
+        target=cast(Int8Target, target),
+        max_ap50_drop=max_ap50_drop,
+    )
 
 
 def _read_overrides(path: Path) -> dict[str, Any]:

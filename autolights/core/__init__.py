@@ -4,7 +4,7 @@ from autolights.core.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from autolights.core.bundle import Bundle
 from autolights.core.camera import CameraModel, back_project, project_points
 from autolights.core.config import Config, find_config, load_config, parse_config, save_config
-from autolights.core.confusion import ConfusionMatrix
+from autolights.core.confusion import ConfusionMatrix, CountedWith
 from autolights.core.detections import Detections
 from autolights.core.estimates import CameraView, LightEstimate
 from autolights.core.frames import CameraFrame
@@ -23,6 +23,7 @@ __all__ = [
     "Certainty",
     "Config",
     "ConfusionMatrix",
+    "CountedWith",
     "Detections",
     "FlashingPair",
     "FloatArray",

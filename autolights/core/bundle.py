@@ -9,7 +9,7 @@ from typing import Self
 import autolights
 from autolights.core.atomic import new_folder, sha256
 from autolights.core.config import Config, save_config
-from autolights.core.confusion import ConfusionMatrix
+from autolights.core.confusion import ConfusionMatrix, CountedWith
 from autolights.core.errors import AutolightsError, BundleError
 from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
 from autolights.core.json_files import read_json_object, validated, write_json
@@ -73,6 +73,8 @@ class Bundle:
         for name, parameters in self.hmm.items():
             if name not in self.signals.types or parameters.states != self.signals.states_of(name):
                 raise BundleError(f"{HMM}: the states of type '{name}' are not those of the signal description")
+        if self.model_sha256:
+            self._check_counted_with(self.model_sha256)
 
     def model_bytes(self) -> bytes:
         """The model, read, checked and returned in one go: what was checked is what a runtime gets to see.
@@ -87,9 +89,11 @@ class Bundle:
 
         Raises:
             UsageError: If `directory` exists and `force` is not set.
-            BundleError: If there is no model file, or it holds what no export writes.
+            BundleError: If there is no model file, it holds what no export writes, or it is an 8-bit model and the
+                confusion matrix or the HMMs come from another one.
         """
         model = _read_model(self.model_path)
+        self._check_counted_with(hashlib.sha256(model).hexdigest())
         with new_folder(directory, force=force) as folder:
             (folder / MODEL).write_bytes(model)
             save_config(self.signals, folder / SIGNALS)
@@ -102,6 +106,20 @@ class Bundle:
                 sha256={name: sha256(folder / name) for name in _HASHED},
             )
             write_json(folder / MANIFEST, manifest.model_dump(mode="json"))
+
+    def _check_counted_with(self, model_sha256: str) -> None:
+        """An 8-bit model errs in its own way, so the HMMs must know the errors of this very file."""
+        if self.model.precision != "int8":
+            return
+        counted = {"confusion matrix": self.confusion.counted_with}
+        for name, parameters in self.hmm.items():
+            counted[f"HMM of type '{name}'"] = CountedWith.from_json(parameters.provenance.get("counted_with"))
+        for what, model in counted.items():
+            if model is None or model.sha256 != model_sha256:
+                raise BundleError(
+                    f"the {what} was counted with {model or 'an unknown model'}, not with this int8 model "
+                    f"({model_sha256[:12]}…): `autolights val` on the exported model, then `fit-hmm` and `bundle`"
+                )
 
     @classmethod
     def load(cls, directory: Path) -> Self:

@@ -12,6 +12,39 @@ from autolights.core.errors import DataError
 from autolights.core.json_files import read_json_object, write_json
 
 
+@dataclass(frozen=True)
+class CountedWith:
+    """The model file whose detections were counted.
+
+    Attributes:
+        sha256: Of ``model.onnx``, or of the checkpoint.
+        precision: Of its weights and arithmetic: fp32, fp16 or int8.
+    """
+
+    sha256: str
+    precision: str
+
+    def to_json(self) -> dict[str, str]:
+        """As JSON-ready values."""
+        return {"sha256": self.sha256, "precision": self.precision}
+
+    @classmethod
+    def from_json(cls, values: Any) -> Self | None:
+        """Read what `to_json` gave; nothing gives None.
+
+        Raises:
+            DataError: If it is something else.
+        """
+        if values is None:
+            return None
+        if not (isinstance(values, dict) and set(values) == {"sha256", "precision"}):
+            raise DataError(f"counted_with must hold sha256 and precision, got {values!r}")
+        return cls(str(values["sha256"]), str(values["precision"]))
+
+    def __str__(self) -> str:
+        return f"the {self.precision} model {self.sha256[:12]}…"
+
+
 @dataclass(frozen=True, eq=False)
 class ConfusionMatrix:
     """How often a class was shown and another one seen.
@@ -22,6 +55,7 @@ class ConfusionMatrix:
         score_threshold: Detections below it were not counted.
         iou_threshold: Overlap from which a detection counts as the truth's.
         calibration: What the class probabilities of the same detections are worth; None if nobody measured it.
+        counted_with: The model; None if it is not known (files of before there were 8-bit models).
     """
 
     classes: tuple[str, ...]
@@ -29,6 +63,7 @@ class ConfusionMatrix:
     score_threshold: float
     iou_threshold: float
     calibration: Calibration | None = None
+    counted_with: CountedWith | None = None
 
     def __post_init__(self) -> None:
         size = len(self.classes) + 1
@@ -45,6 +80,7 @@ class ConfusionMatrix:
             "score_threshold": self.score_threshold,
             "iou_threshold": self.iou_threshold,
             "calibration": None if self.calibration is None else self.calibration.to_json(),
+            **({"counted_with": self.counted_with.to_json()} if self.counted_with else {}),
         }
 
     @classmethod
@@ -62,6 +98,7 @@ class ConfusionMatrix:
                 score_threshold=float(values["score_threshold"]),
                 iou_threshold=float(values["iou_threshold"]),
                 calibration=None if calibration is None else Calibration.from_json(calibration),
+                counted_with=CountedWith.from_json(values.get("counted_with")),
             )
         except KeyError as error:
             raise DataError(f"confusion matrix: field {error} is missing") from error

@@ -12,7 +12,8 @@
     │   └── BundleError
     ├── PoseError                no pose can be given for a stamp
     ├── TrainingError            a run cannot go on (a loss that is not finite, ...)
-    └── ParityError              an exported model does not agree with the one it came from
+    ├── ParityError              an exported model does not agree with the one it came from
+    └── AccuracyError            an 8-bit model sees less than is allowed
 """
 
 
@@ -62,3 +63,7 @@ class TrainingError(AutolightsError):
 
 class ParityError(AutolightsError):
     """An exported model disagrees with its source beyond tolerance."""
+
+
+class AccuracyError(AutolightsError):
+    """An 8-bit model loses more than is allowed."""

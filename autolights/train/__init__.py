@@ -7,9 +7,11 @@ if TYPE_CHECKING:
     from autolights.train.config import TrainConfig
     from autolights.train.deliver.export import ExportReport, export_onnx
     from autolights.train.deliver.hmm_fitting import fit_hmm
+    from autolights.train.deliver.int8 import Int8Settings
     from autolights.train.measure.curves import save_curves
     from autolights.train.measure.metrics import DetectionMetrics
     from autolights.train.measure.metrics_table import metrics_as_text
+    from autolights.train.measure.onnx_model import ExportedModel
     from autolights.train.measure.prediction_sheet import save_sheet
     from autolights.train.measure.predictions import load_predictions, save_predictions
     from autolights.train.measure.validate import DatasetDetections, detect_dataset, evaluate_detector
@@ -23,6 +25,8 @@ _HOMES = {
     "DatasetDetections": "measure.validate",
     "DetectionMetrics": "measure.metrics",
     "ExportReport": "deliver.export",
+    "ExportedModel": "measure.onnx_model",
+    "Int8Settings": "deliver.int8",
     "NetworkInfo": "network.network_info",
     "TrainConfig": "config",
     "TrainResult": "run.engine",
@@ -46,6 +50,8 @@ __all__ = [
     "DatasetDetections",
     "DetectionMetrics",
     "ExportReport",
+    "ExportedModel",
+    "Int8Settings",
     "NetworkInfo",
     "TrainConfig",
     "TrainResult",

@@ -1,3 +1,4 @@
+import hashlib
 import json
 from dataclasses import replace
 
@@ -6,7 +7,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from autolights.core import Bundle, ConfusionMatrix, InitialWeights, ModelInfo, load_signals
+from autolights.core import Bundle, ConfusionMatrix, CountedWith, InitialWeights, ModelInfo, load_signals
 from autolights.core.errors import BundleError, UsageError
 from autolights.core.model_info import load_model_info
 from autolights.train.deliver.hmm_fitting import fit_hmm
@@ -187,3 +188,50 @@ def test_hostile_manifests_are_refused_in_words(folder, text, message):
 def test_head_without_class_vectors_is_refused(bundle):
     with pytest.raises(BundleError, match="efficient-nms yields no class vectors"):
         replace(bundle, model=bundle.model.model_copy(update={"head": "efficient-nms"}))
+
+
+@pytest.fixture
+def int8(bundle):
+    """The same bundle with a model in 8 bits, and a confusion matrix counted with it."""
+    counted_with = CountedWith(hashlib.sha256(WEIGHTS).hexdigest(), "int8")
+    confusion = replace(bundle.confusion, counted_with=counted_with)
+    info = bundle.model.model_copy(update={"precision": "int8"})
+    return replace(bundle, model=info, confusion=confusion, hmm=fit_hmm(confusion, SIGNALS))
+
+
+def test_an_int8_model_comes_with_its_own_errors(int8, tmp_path):
+    int8.save(tmp_path / "bundle")
+
+    assert Bundle.load(tmp_path / "bundle").confusion.counted_with == int8.confusion.counted_with
+
+
+@pytest.mark.parametrize("part", ["confusion matrix", "HMM of type '3'"])
+@pytest.mark.parametrize(
+    ("counted_with", "named"),
+    [
+        pytest.param(None, "an unknown model", id="unknown"),
+        pytest.param(CountedWith("ab" * 32, "fp32"), "the fp32 model abababababab…", id="float"),
+    ],
+)
+def test_an_int8_model_with_the_errors_of_another_is_refused(int8, tmp_path, part, counted_with, named):
+    other = replace(int8.confusion, counted_with=counted_with)
+    wrong = replace(int8, confusion=other) if part == "confusion matrix" else replace(int8, hmm=fit_hmm(other, SIGNALS))
+
+    with pytest.raises(
+        BundleError, match=rf"the {part} was counted with {named}, not with this int8 model .* `fit-hmm`"
+    ):
+        wrong.save(tmp_path / "bundle")
+
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_an_int8_bundle_put_together_by_hand_is_refused(int8, tmp_path):
+    folder = tmp_path / "bundle"
+    int8.save(folder)
+    replace(int8.confusion, counted_with=None).save(folder / "confusion.json")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["sha256"]["confusion.json"] = hashlib.sha256((folder / "confusion.json").read_bytes()).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+    with pytest.raises(BundleError, match="the confusion matrix was counted with an unknown model"):
+        Bundle.load(folder)

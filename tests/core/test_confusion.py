@@ -1,9 +1,10 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from autolights.core import ConfusionMatrix
+from autolights.core import ConfusionMatrix, CountedWith
 from autolights.core.errors import DataError
 
 
@@ -19,6 +20,16 @@ def test_file_reads_back(matrix, tmp_path):
 
     assert read.to_json() == matrix.to_json()
     assert read.counts.dtype == np.int64
+
+
+def test_it_may_say_what_it_was_counted_with(matrix, tmp_path):
+    counted = replace(matrix, counted_with=CountedWith("0" * 64, "int8"))
+    counted.save(tmp_path / "confusion.json")
+
+    assert ConfusionMatrix.load(tmp_path / "confusion.json").counted_with == counted.counted_with
+    assert ConfusionMatrix.from_json(matrix.to_json()).counted_with is None  # files of earlier versions say nothing
+    with pytest.raises(DataError, match="counted_with must hold sha256 and precision, got 'int8'"):
+        ConfusionMatrix.from_json({**matrix.to_json(), "counted_with": "int8"})
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from autolights.core.errors import UsageError
 from autolights.core.model_info import Head, Precision
 from autolights.train.deliver.half_precision import half_arithmetic, to_half
 from autolights.train.deliver.heads import candidate_count
+from autolights.train.deliver.int8 import Int8Settings, quantize
 from autolights.train.deliver.onnx_file import OPSET, OPSETS, finish, trace
 from autolights.train.deliver.parity import TOLERANCES, compare, onnx_run
 from autolights.train.deliver.tensorrt_operators import check_operators
@@ -37,6 +38,7 @@ def export_onnx(
     size_wh: tuple[int, int],
     head: Head = "raw",
     precision: Precision = "fp32",
+    int8: Int8Settings | None = None,
     half_io: bool = False,
     dynamic_batch: bool = False,
     dynamic_size: bool = False,
@@ -51,7 +53,8 @@ def export_onnx(
     """Write ``model.onnx``, and its `ModelInfo` as JSON beside it.
 
     Both files appear only if ONNX Runtime agrees with the network on two random images and the given ones, at more than
-    one batch and size where these are free.
+    one batch and size where these are free. A model in 8 bits is made of a float one that agrees, and must see nearly
+    as well.
 
     Args:
         model: The network; it is put into eval mode for the time being.
@@ -59,6 +62,7 @@ def export_onnx(
         size_wh: Input width and height in pixels, multiples of 32; with `dynamic_size` the size that it is meant for.
         head: What comes out, see `ModelInfo`.
         precision: Of weights and arithmetic.
+        int8: How 8 bits are reached and accepted; needed by that precision.
         half_io: Input and outputs are float16.
         dynamic_batch: Any number of images at once instead of one.
         dynamic_size: Any multiples of 32 instead of one size.
@@ -74,6 +78,7 @@ def export_onnx(
         UsageError: If a choice does not fit the network or another choice.
         DataError: If TensorRT does not know an operator of the graph.
         ParityError: If the model differs from the network.
+        AccuracyError: If too much is lost in 8 bits.
     """
     info = ModelInfo(
         classes=model.classes,
@@ -92,17 +97,25 @@ def export_onnx(
     )
     if opset not in OPSETS:
         raise UsageError(f"the operator set must be one of {OPSETS.start} to {OPSETS.stop - 1}, got {opset}")
+    if (precision == "int8") != (int8 is not None):
+        raise UsageError("the precision int8 needs images to calibrate and measure on; no other does")
     if head == "end2end":
         most = min(max_detections, candidate_count(info, model.strides))
         info = info.model_copy(update={"max_detections": most})
     was_training = model.training
     model.eval()
     try:
-        proto = in_precision(trace(model, info), info)
+        in_float = info.model_copy(update={"precision": "fp32"}) if int8 else info
+        proto = in_precision(trace(model, in_float), in_float)
         check_operators(proto)
         with new_file(path) as model_file, new_file(path.with_suffix(".json")) as info_file:
-            onnx.save(finish(proto, info), model_file)
-            info = info.model_copy(update={"parity": _checked_parity(model, model_file, info, images)})
+            onnx.save(finish(proto, in_float), model_file)
+            info = info.model_copy(update={"parity": _checked_parity(model, model_file, in_float, images)})
+            if int8:
+                proto, accuracy = quantize(proto, info, int8)
+                check_operators(proto)
+                onnx.save(finish(proto, info), model_file)
+                info = info.model_copy(update={"accuracy": accuracy})
             info_file.write_text(json.dumps(info.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")
     finally:
         model.train(was_training)
@@ -134,7 +147,7 @@ def in_precision(proto: ModelProto, info: ModelInfo) -> ModelProto:
         return proto
     if info.precision == "fp16":
         return to_half(proto, info)
-    raise UsageError(f"precision {info.precision} cannot be exported yet; choose fp32 or fp16")
+    raise ValueError("8 bits need images: see `quantize`")
 
 
 def _checked_size(size_wh: tuple[int, int], head: Head, dynamic_size: bool) -> tuple[int, int]:

@@ -109,6 +109,7 @@ def _fit_type(
             "score_threshold": confusion.score_threshold,
             "iou_threshold": confusion.iou_threshold,
             "calibration": None if calibration is None else calibration.to_json(),
+            **({"counted_with": confusion.counted_with.to_json()} if confusion.counted_with else {}),
             "overrides": tuned.model_dump(mode="json", exclude_defaults=True),
         },
         temperature=1.0 if calibration is None else calibration.temperature,

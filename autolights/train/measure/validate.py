@@ -1,18 +1,19 @@
-"""Run a network over labelled images and measure it.
+"""Run a network, or an exported model, over labelled images and measure it.
 
 `evaluate_detector` gives the figures alone; `detect_dataset` also what they were counted from, for files and pictures.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torchvision.ops import batched_nms, box_convert
+from torch import nn
 
-from autolights.core import ConfusionMatrix, FloatArray
+from autolights.core import ConfusionMatrix, CountedWith, Detections, FloatArray
 from autolights.core.boxes import match_boxes
 from autolights.core.calibration import Calibration
 from autolights.core.errors import DataError, UsageError
@@ -23,16 +24,14 @@ from autolights.infer.letterbox import InputBuffer, Letterbox, rectangle_for
 from autolights.train.measure.average_precision import average_precision
 from autolights.train.measure.calibration import fit_calibration
 from autolights.train.measure.confusion import count_confusions
+from autolights.train.measure.every_class import decode_every_class
 from autolights.train.measure.metrics import DetectionMetrics
+from autolights.train.measure.onnx_model import ExportedModel
 from autolights.train.measure.operating_point import THRESHOLDS, recall_by_height, sweep_thresholds
 from autolights.train.measure.predictions import Labels, Predictions
 from autolights.train.memory import keep_freed_memory
 from autolights.train.processes import ALONE, Processes
 
-COCO_SCORE_THRESHOLD = 0.001
-COCO_NMS_IOU_THRESHOLD = 0.6
-COCO_MAX_DETECTIONS = 300
-_MAX_CANDIDATES = 4096  # of the best enter the suppression; an untrained network would offer a hundred thousand
 _NAMED_FILES = 8  # in a message
 
 
@@ -48,6 +47,7 @@ class DatasetDetections:
         reported: What the runtime would report at 0.05 (`THRESHOLDS` begins there), or `score_threshold` if lower.
         score_threshold: Of the runtime.
         unreadable: Indices of images that do not decode.
+        counted_with: The model file; None for a network in memory.
     """
 
     dataset: ImageDataset
@@ -57,6 +57,7 @@ class DatasetDetections:
     reported: tuple[Predictions, ...]
     score_threshold: float
     unreadable: tuple[int, ...] = ()
+    counted_with: CountedWith | None = None
 
     @property
     def image_paths(self) -> tuple[Path, ...]:
@@ -91,6 +92,7 @@ class DatasetDetections:
                 self.score_threshold,
                 iou_threshold,
                 _calibration(self.labels, reported, iou_threshold),
+                self.counted_with,
             ),
             heights=recall_by_height(self.labels, reported, iou_threshold=iou_threshold),
             sweep=sweep_thresholds(self.labels, self.reported, iou_threshold=iou_threshold),
@@ -110,10 +112,10 @@ def _calibration(labels: Sequence[Labels], reported: Sequence[Predictions], iou_
 
 
 def evaluate_detector(
-    model: nn.Module,
+    model: nn.Module | ExportedModel,
     dataset: ImageDataset,
     *,
-    long_side: int,
+    long_side: int | None = None,
     batch_size: int = 8,
     score_threshold: float = 0.25,
     device: str = "cpu",
@@ -136,10 +138,10 @@ def evaluate_detector(
 
 
 def detect_dataset(
-    model: nn.Module,
+    model: nn.Module | ExportedModel,
     dataset: ImageDataset,
     *,
-    long_side: int,
+    long_side: int | None = None,
     batch_size: int = 8,
     score_threshold: float = 0.25,
     device: str = "cpu",
@@ -149,16 +151,17 @@ def detect_dataset(
 ) -> DatasetDetections:
     """Show labelled images to a detector.
 
-    Images are letterboxed as at runtime, into the smallest stride-32 rectangle.
+    Images are letterboxed as at runtime: for a network into the smallest stride-32 rectangle, for an exported model
+    into its input.
 
     Args:
-        model: Called on (B, 3, H, W) RGB in [0, 1] it returns (B, N, 5 + C) raw. It is put into eval mode for the
-            time being.
+        model: A network that, called on (B, 3, H, W) RGB in [0, 1], returns (B, N, 5 + C) raw; it is put into eval mode
+            for the time being. Or an exported model.
         dataset: Images and labels; its classes are the columns of the output.
-        long_side: Of the input, pixels.
+        long_side: Of a network's input, pixels; an exported model has an input of its own.
         batch_size: Images that pass the network together.
         score_threshold: Of the runtime.
-        device: Where the network runs. It is moved there, its weights in channels-last order (on a CPU two thirds
+        device: Where a network runs. It is moved there, its weights in channels-last order (on a CPU two thirds
             of the time).
         bad_images: Largest share of images that do not decode; they are named on stderr and left out.
         processes: Each looks at its share of the images; all must call this, and all get the whole result.
@@ -178,36 +181,97 @@ def detect_dataset(
     seen: dict[int, tuple[Labels, Predictions, Predictions]] = {}
     unreadable: list[int] = []
     keep_freed_memory()
-    was_training = model.training
-    model.to(device=device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
-    try:
-        with torch.inference_mode():
-            for batch in _batches(dataset, indices, long_side, batch_size, unreadable):
-                raws = model(_tensor(batch.blob, device)).cpu().float()
-                _check_columns(raws.shape[2], dataset)
-                for i, letterbox, raw in zip(batch.indices, batch.letterboxes, raws, strict=True):
-                    reported = decode(raw.numpy(), letterbox, score_threshold=lowest_threshold)
-                    seen[i] = (
-                        Labels(dataset.boxes_xyxy(i, letterbox.image_wh), dataset.class_ids[i]),
-                        decode_every_class(raw, letterbox),
-                        Predictions(reported.boxes_xyxy, reported.class_ids, reported.scores, reported.class_probs),
-                    )
-    finally:
-        model.train(was_training)
+    with _ready(model, dataset, long_side, device) as detector:
+        for batch in _batches(dataset, indices, detector.view, batch_size, unreadable):
+            answers = detector.detect(batch.blob, batch.views, score_threshold=lowest_threshold)
+            for i, view, (predictions, reported) in zip(batch.indices, batch.views, answers, strict=True):
+                seen[i] = (
+                    Labels(dataset.boxes_xyxy(i, view.image_wh), dataset.class_ids[i]),
+                    predictions,
+                    Predictions(reported.boxes_xyxy, reported.class_ids, reported.scores, reported.class_probs),
+                )
     for others_seen, others_unreadable in processes.gather((seen, unreadable)):
         seen |= others_seen
         unreadable = sorted({*unreadable, *others_unreadable})
     _check_unreadable(dataset, unreadable, bad_images, tell=processes.is_main)
     images = sorted(seen)
-    labels, predictions, all_reported = zip(*(seen[i] for i in images), strict=True)
+    labels, all_predictions, all_reported = zip(*(seen[i] for i in images), strict=True)
     return DatasetDetections(
-        dataset, tuple(images), labels, predictions, all_reported, score_threshold, tuple(unreadable)
+        dataset,
+        tuple(images),
+        labels,
+        all_predictions,
+        all_reported,
+        score_threshold,
+        tuple(unreadable),
+        model.counted_with if isinstance(model, ExportedModel) else None,
     )
 
 
-def _check_columns(columns: int, dataset: ImageDataset) -> None:
-    if columns != 5 + len(dataset.classes):
-        raise UsageError(f"the network knows {columns - 5} classes, the data of {dataset.root} {len(dataset.classes)}")
+class _Detector(Protocol):
+    """A network or an exported model, ready to be shown images."""
+
+    def view(self, image_wh: tuple[int, int]) -> Letterbox:
+        """Where an image lies in the input."""
+        ...
+
+    def detect(
+        self, blob: FloatArray, views: Sequence[Letterbox], *, score_threshold: float
+    ) -> list[tuple[Predictions, Detections]]:
+        """See `ExportedModel`."""
+        ...
+
+
+class _Network:
+    """The network itself, with the runtime's decoding."""
+
+    def __init__(self, model: nn.Module, device: str, long_side: int, dataset: ImageDataset) -> None:
+        self._model = model
+        self._device = device
+        self._long_side = long_side
+        self._dataset = dataset
+
+    def view(self, image_wh: tuple[int, int]) -> Letterbox:
+        return Letterbox(image_wh, rectangle_for(image_wh, self._long_side))
+
+    def detect(
+        self, blob: FloatArray, views: Sequence[Letterbox], *, score_threshold: float
+    ) -> list[tuple[Predictions, Detections]]:
+        images = torch.from_numpy(blob).to(device=self._device, memory_format=torch.channels_last)
+        raws = self._model(images).cpu().float()
+        if raws.shape[2] != 5 + len(self._dataset.classes):
+            raise UsageError(
+                f"the network knows {raws.shape[2] - 5} classes, "
+                f"the data of {self._dataset.root} {len(self._dataset.classes)}"
+            )
+        return [
+            (decode_every_class(raw, view), decode(raw.numpy(), view, score_threshold=score_threshold))
+            for raw, view in zip(raws, views, strict=True)
+        ]
+
+
+@contextmanager
+def _ready(
+    model: nn.Module | ExportedModel, dataset: ImageDataset, long_side: int | None, device: str
+) -> Iterator[_Detector]:
+    """Bring a network into eval mode and onto the device for the time being."""
+    if isinstance(model, ExportedModel):
+        if model.info.classes != dataset.classes:
+            raise UsageError(
+                f"the model knows the classes {list(model.info.classes)}, "
+                f"the data of {dataset.root} {list(dataset.classes)}"
+            )
+        yield model
+        return
+    if long_side is None:
+        raise ValueError("to measure a network, long_side must be given")
+    was_training = model.training
+    model.to(device=device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    try:
+        with torch.inference_mode():
+            yield _Network(model, device, long_side, dataset)
+    finally:
+        model.train(was_training)
 
 
 def _check_unreadable(dataset: ImageDataset, unreadable: list[int], bad_images: float, *, tell: bool) -> None:
@@ -223,47 +287,21 @@ def _check_unreadable(dataset: ImageDataset, unreadable: list[int], bad_images: 
         say(f"{text}; left out")
 
 
-def decode_every_class(raw: Tensor, letterbox: Letterbox) -> Predictions:
-    """Decode for COCO's average precision: each class of each cell is a detection of its own, suppressed by class.
-
-    Args:
-        raw: (N, 5 + C) of one image, on the CPU.
-        letterbox: Where the image lies in the input.
-
-    Returns:
-        At most 300 predictions from a score of 0.001, in pixels of the image, best first.
-    """
-    raw = raw[raw[:, 4] >= COCO_SCORE_THRESHOLD]
-    scores = raw[:, 4:5] * raw[:, 5:]
-    cells, class_ids = torch.nonzero(scores >= COCO_SCORE_THRESHOLD, as_tuple=True)
-    scores = scores[cells, class_ids]
-    if len(scores) > _MAX_CANDIDATES:
-        scores, best = scores.topk(_MAX_CANDIDATES)
-        cells, class_ids = cells[best], class_ids[best]
-    boxes = box_convert(raw[cells, :4], "cxcywh", "xyxy")
-    kept = batched_nms(boxes, scores, class_ids, COCO_NMS_IOU_THRESHOLD)[:COCO_MAX_DETECTIONS]
-    return Predictions(
-        letterbox.boxes_to_image(boxes[kept].numpy().astype(np.float64)),
-        class_ids[kept].numpy(),
-        scores[kept].numpy(),
-    )
-
-
-def _tensor(blob: FloatArray, device: str) -> Tensor:
-    return torch.from_numpy(blob).to(device=device, memory_format=torch.channels_last)
-
-
 @dataclass
 class _Batch:
     """Images of one input size: their indices, where they lie in the input, and the (B, 3, H, W) input itself."""
 
     blob: FloatArray
     indices: list[int] = field(default_factory=list)
-    letterboxes: list[Letterbox] = field(default_factory=list)
+    views: list[Letterbox] = field(default_factory=list)
 
 
 def _batches(
-    dataset: ImageDataset, indices: Iterable[int], long_side: int, batch_size: int, unreadable: list[int]
+    dataset: ImageDataset,
+    indices: Iterable[int],
+    view_of: Callable[[tuple[int, int]], Letterbox],
+    batch_size: int,
+    unreadable: list[int],
 ) -> Iterator[_Batch]:
     """Read images and collect those of equal input size; the last batch of a size may be smaller.
 
@@ -277,15 +315,17 @@ def _batches(
         except DataError:
             unreadable.append(i)
             continue
-        width, height = input_wh = rectangle_for((image_bgr.shape[1], image_bgr.shape[0]), long_side)
-        if input_wh not in waiting:
-            waiting[input_wh] = _Batch(np.empty((batch_size, 3, height, width), dtype=np.float32))
-        batch = waiting[input_wh]
-        buffer = buffers.setdefault(input_wh, InputBuffer(input_wh))
-        batch.letterboxes.append(buffer.fill(image_bgr, batch.blob[len(batch.indices)]))
+        view = view_of((image_bgr.shape[1], image_bgr.shape[0]))
+        width, height = view.input_wh
+        if view.input_wh not in waiting:
+            waiting[view.input_wh] = _Batch(np.empty((batch_size, 3, height, width), dtype=np.float32))
+        batch = waiting[view.input_wh]
+        buffer = buffers.setdefault(view.input_wh, InputBuffer(view.input_wh))
+        buffer.fill(image_bgr, batch.blob[len(batch.indices)], view)
         batch.indices.append(i)
+        batch.views.append(view)
         if len(batch.indices) == batch_size:
-            yield waiting.pop(input_wh)
+            yield waiting.pop(view.input_wh)
     for batch in waiting.values():
         batch.blob = batch.blob[: len(batch.indices)]
         yield batch

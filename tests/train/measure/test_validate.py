@@ -10,8 +10,9 @@ from autolights.core.errors import DataError, UsageError
 from autolights.data.image_dataset import ImageDataset
 from autolights.infer.letterbox import Letterbox, rectangle_for
 from autolights.train.measure.average_precision import average_precision
+from autolights.train.measure.every_class import decode_every_class
 from autolights.train.measure.predictions import Labels
-from autolights.train.measure.validate import decode_every_class, detect_dataset, evaluate_detector
+from autolights.train.measure.validate import detect_dataset, evaluate_detector
 from autolights.train.processes import Processes
 
 CLASSES = ("3-red", "3-green", "3-yellow")
