@@ -27,7 +27,8 @@ test: setup
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --durations 5
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --durations 5 -m "not alone"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m alone
 
 constraints:
 	{ head -1 constraints.txt; $(BIN)/python -m pip freeze --exclude-editable; } > constraints.new

@@ -32,6 +32,14 @@ def bundle_dir(constant_model, tmp_path):
     return tmp_path / "bundle"
 
 
+@pytest.fixture(autouse=True)
+def ctrl_c_interrupts():
+    """Also where the tests themselves run in the background, which ignores it."""
+    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, earlier)
+
+
 @pytest.fixture
 def photos(tmp_path):
     folder = tmp_path / "photos"

@@ -11,6 +11,7 @@ from autolights.infer import Detector, Execution, OnnxSession
 from autolights.infer.openvino_session import OpenVinoSession
 
 pytest.importorskip("openvino", reason="needs autolights[openvino]")
+pytestmark = pytest.mark.alone
 
 
 @pytest.fixture

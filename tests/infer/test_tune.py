@@ -14,6 +14,8 @@ from autolights.infer.tuning import Machine, Tuning, this_machine, tuned_executi
 from autolights.train.deliver.hmm_fitting import fit_hmm
 from autolights.tune import WORTH_A_CHANGE, _best, tune_bundle
 
+pytestmark = pytest.mark.alone
+
 SIGNALS = load_signals()
 ONE, TWO, STREAMS = Execution(threads=1), Execution(threads=2), Execution(threads=2, streams=2)
 
