@@ -77,6 +77,7 @@ def tune_bundle(
     frames = _soft_noise(images, image_wh)
     candidates = list(_candidates(images, bfloat16))
     model = bundle.model_path, bundle.model
+    model_sha256 = bundle.model_sha256 or sha256(bundle.model_path)
     wanted = _probabilities(bundle, candidates[0])
     differences: dict[Execution, float] = {}
     brief_ms: dict[Execution, float] = {}
@@ -84,18 +85,20 @@ def tune_bundle(
     for execution in track(candidates, description="all ways, briefly", total=len(candidates), unit="ways"):
         try:
             differences[execution] = float(np.abs(_probabilities(bundle, execution) - wanted).max())
-            brief_ms[execution] = _brief_ms(Detector(*model, execution), frames, seconds / 3 / len(candidates))
+            brief_ms[execution] = _brief_ms(
+                Detector(*model, execution, sha256=model_sha256), frames, seconds / 3 / len(candidates)
+            )
         except AutolightsError as error:
             if execution == candidates[0]:
                 raise
             refused[execution] = str(error)
     fastest = sorted(brief_ms, key=brief_ms.__getitem__)[:FINALISTS]
-    finalists = {each: Detector(*model, each) for each in candidates if each in fastest}
+    finalists = {each: Detector(*model, each, sha256=model_sha256) for each in candidates if each in fastest}
     rounds = max(round(1e3 * seconds * 2 / 3 / sum(brief_ms[each] for each in fastest)), 3)
     medians = brief_ms | _in_turns_ms(finalists, frames, rounds)
     tuning = Tuning(
         machine=this_machine(),
-        model_sha256=sha256(bundle.model_path),
+        model_sha256=model_sha256,
         onnxruntime=onnxruntime.__version__,
         images=images,
         image_wh=image_wh,
@@ -174,7 +177,13 @@ def _probabilities(bundle: Bundle, execution: Execution) -> FloatArray:
     image = _soft_noise(1, (width, height))[0]
     dtype = np.float16 if bundle.model.half_io else np.float32
     blob: FloatArray = np.ascontiguousarray(image.transpose(2, 0, 1)[None] / 255).astype(dtype)
-    session = open_session(bundle.model_path, bundle.model, execution, threads=execution.threads_of_stream)
+    session = open_session(
+        bundle.model_path,
+        bundle.model,
+        execution,
+        threads=execution.threads_of_stream,
+        sha256=bundle.model_sha256,
+    )
     outputs = session.run(blob)
     return np.array(outputs[0][..., 4:] if bundle.model.head == "raw" else outputs[1], dtype=np.float64)
 

@@ -1,7 +1,6 @@
 """The bundle: everything that travels from training to the car, in one verified folder."""
 
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -13,7 +12,7 @@ from autolights.core.confusion import ConfusionMatrix, CountedWith
 from autolights.core.errors import AutolightsError, BundleError
 from autolights.core.hmm import HmmParameters, load_hmm, save_hmm
 from autolights.core.json_files import read_json_object, validated, write_json
-from autolights.core.model_guard import MAX_MODEL_BYTES, inspect_model
+from autolights.core.model_guard import inspect_model, read_model
 from autolights.core.model_info import FORMAT_VERSION, ModelInfo
 from autolights.core.signals import SignalSet, load_signals
 
@@ -40,7 +39,8 @@ class Bundle:
         signals: The signal description.
         hmm: One model per type.
         confusion: The confusion matrix behind the HMMs.
-        model_sha256: Of ``model.onnx`` in a bundle that was loaded; empty in one that is being made.
+        model_sha256: Of ``model.onnx`` in a bundle that was loaded, and a detector runs no other; empty in one that is
+            being made.
     """
 
     model: ModelInfo
@@ -76,14 +76,6 @@ class Bundle:
         if self.model_sha256:
             self._check_counted_with(self.model_sha256)
 
-    def model_bytes(self) -> bytes:
-        """The model, read, checked and returned in one go: what was checked is what a runtime gets to see.
-
-        Raises:
-            BundleError: If the file is missing, altered since `load`, or holds what no export writes.
-        """
-        return _read_model(self.model_path, self.model_sha256)
-
     def save(self, directory: Path, *, force: bool = False) -> None:
         """Write the bundle; it appears whole or not at all.
 
@@ -92,7 +84,7 @@ class Bundle:
             BundleError: If there is no model file, it holds what no export writes, or it is an 8-bit model and the
                 confusion matrix or the HMMs come from another one.
         """
-        model = _read_model(self.model_path)
+        model = _inspected(self.model_path)
         self._check_counted_with(hashlib.sha256(model).hexdigest())
         with new_folder(directory, force=force) as folder:
             (folder / MODEL).write_bytes(model)
@@ -138,10 +130,12 @@ class Bundle:
                 f"{directory / MANIFEST}: sha256 must name {', '.join(_HASHED)}, got {', '.join(manifest.sha256)}"
             )
         paths = {name: _inside(directory, name) for name in _HASHED}
-        _read_model(paths[MODEL], manifest.sha256[MODEL])
+        _inspected(paths[MODEL], manifest.sha256[MODEL])
         for name in (SIGNALS, HMM, CONFUSION):
             if sha256(paths[name]) != manifest.sha256[name]:
-                raise BundleError(_altered(paths[name]))
+                raise BundleError(
+                    f"{paths[name]}: its SHA-256 differs from the manifest's: altered or damaged since bundling"
+                )
         try:
             return cls(
                 model=manifest.model,
@@ -167,29 +161,14 @@ def _inside(directory: Path, name: str) -> Path:
     return path
 
 
-def _read_model(path: Path, wanted_sha256: str = "") -> bytes:
-    """The bytes of a model, hashed if the hash is known, and looked through."""
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            data = file.read() if size <= MAX_MODEL_BYTES else b""
-    except OSError as error:
-        raise BundleError(f"{path}: no such model; make one with `autolights export` ({error.strerror})") from error
-    if size > MAX_MODEL_BYTES:
-        raise BundleError(
-            f"{path}: the model has {size:,} bytes, more than the {MAX_MODEL_BYTES:,} that any size needs"
-        )
-    if wanted_sha256 and hashlib.sha256(data).hexdigest() != wanted_sha256:
-        raise BundleError(_altered(path))
+def _inspected(path: Path, wanted_sha256: str = "") -> bytes:
+    """The bytes of a model that holds only what an export writes."""
+    data = read_model(path, wanted_sha256)
     try:
         inspect_model(data)
     except BundleError as error:
         raise BundleError(f"{path}: {error}") from error
     return data
-
-
-def _altered(path: Path) -> str:
-    return f"{path}: its SHA-256 differs from the manifest's: altered or damaged since bundling"
 
 
 def _read_manifest(path: Path) -> Manifest:

@@ -9,9 +9,12 @@ References:
     https://github.com/onnx/onnx/blob/main/onnx/onnx.proto (field numbers)
 """
 
+import hashlib
 import math
+import os
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from autolights.core.errors import BundleError
@@ -56,6 +59,31 @@ class ModelContents(NamedTuple):
     operators: Counter[str]
     opset: int
     parameters: int
+
+
+def read_model(path: Path, wanted_sha256: str = "") -> bytes:
+    """The bytes of a model file in one go: what was hashed is what a runtime gets to see.
+
+    Args:
+        path: The ONNX file.
+        wanted_sha256: What it must hash to; empty: anything.
+
+    Raises:
+        BundleError: If the file is missing, too large, or another one.
+    """
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            data = file.read() if size <= MAX_MODEL_BYTES else b""
+    except OSError as error:
+        raise BundleError(f"{path}: no such model; make one with `autolights export` ({error.strerror})") from error
+    if size > MAX_MODEL_BYTES:
+        raise BundleError(
+            f"{path}: the model has {size:,} bytes, more than the {MAX_MODEL_BYTES:,} that any size needs"
+        )
+    if wanted_sha256 and hashlib.sha256(data).hexdigest() != wanted_sha256:
+        raise BundleError(f"{path}: its SHA-256 differs from the manifest's: altered or damaged since bundling")
+    return data
 
 
 def inspect_model(data: bytes | memoryview) -> ModelContents:

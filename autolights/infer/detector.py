@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from autolights.core import Bundle, Detections, FloatArray, ImageArray, ModelInfo
+from autolights.core.atomic import sha256 as file_sha256
 from autolights.infer.decode import decode_outputs
 from autolights.infer.execution import Execution, open_session, usable_cpus
 from autolights.infer.letterbox import InputBuffer, Letterbox
@@ -26,9 +27,11 @@ class Detector:
         info: Its description.
         execution: How it is run; by default in ONNX Runtime on the CPU.
         score_threshold: Instead of the description's.
+        sha256: What the file must hash to, whenever it is opened; empty: anything.
 
     Raises:
         UsageError: If the file is missing, what `execution` asks for is not there, or the head yields no class vectors.
+        BundleError: If the file hashes to something else.
         DataError: If the file is no model, or is not as described.
     """
 
@@ -39,11 +42,13 @@ class Detector:
         execution: Execution | None = None,
         *,
         score_threshold: float | None = None,
+        sha256: str = "",
     ) -> None:
         self.classes = info.classes
         self.score_threshold = info.score_threshold if score_threshold is None else score_threshold
         self.execution = execution or Execution()
         self._model_path = model_path
+        self._sha256 = sha256
         self._info = info
         # A single image has all threads, streams share them. Who only ever asks for one of the two loads only that.
         self._single: _Lane | None = None
@@ -84,11 +89,17 @@ class Detector:
             DataError: See the class.
         """
         if execution is None and not providers and threads is None:
-            execution = tuned_execution(bundle.model_path)
+            execution = tuned_execution(bundle.model_sha256 or file_sha256(bundle.model_path))
         if execution is None:
             streams = 1 if providers else min(images_at_once, threads or usable_cpus())
             execution = Execution(providers=tuple(providers or ()), threads=threads, streams=max(streams, 1))
-        return cls(bundle.model_path, bundle.model, execution, score_threshold=score_threshold)
+        return cls(
+            bundle.model_path,
+            bundle.model,
+            execution,
+            score_threshold=score_threshold,
+            sha256=bundle.model_sha256,
+        )
 
     def __call__(self, image_bgr: ImageArray, region: Region | None = None) -> Detections:
         """Detect lights in one image.
@@ -139,7 +150,7 @@ class Detector:
         return view_of((image_bgr.shape[1], image_bgr.shape[0]), region, self._info)
 
     def _open(self, threads: int | None) -> "_Lane":
-        session = open_session(self._model_path, self._info, self.execution, threads=threads)
+        session = open_session(self._model_path, self._info, self.execution, threads=threads, sha256=self._sha256)
         return _Lane(session, self._info, self.score_threshold)
 
     def _whole_machine(self) -> "_Lane":

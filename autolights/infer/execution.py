@@ -70,14 +70,23 @@ def openvino_is_installed() -> bool:
     return find_spec("openvino") is not None
 
 
-def open_session(model_path: Path, info: ModelInfo, execution: Execution, *, threads: int | None) -> Session:
-    """Load a model; errors are those of the session's class."""
+def open_session(
+    model_path: Path, info: ModelInfo, execution: Execution, *, threads: int | None, sha256: str = ""
+) -> Session:
+    """Load a model, of the given hash if there is one; errors are those of the session's class."""
     if execution.backend == "openvino":
         from autolights.infer.openvino_session import OpenVinoSession
 
-        return OpenVinoSession(model_path, info, threads=threads, bfloat16=execution.bfloat16)
+        return OpenVinoSession(model_path, info, sha256=sha256, threads=threads, bfloat16=execution.bfloat16)
     if execution.backend == "tensorrt":
         from autolights.infer.tensorrt_session import TensorRtSession
 
-        return TensorRtSession(model_path, info)
-    return OnnxSession(model_path, info, providers=execution.providers, threads=threads, spin_us=execution.spin_us)
+        return TensorRtSession(model_path, info, sha256=sha256)
+    return OnnxSession(
+        model_path,
+        info,
+        sha256=sha256,
+        providers=execution.providers,
+        threads=threads,
+        spin_us=execution.spin_us,
+    )

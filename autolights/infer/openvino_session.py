@@ -7,6 +7,7 @@ import numpy as np
 
 from autolights.core import FloatArray, ModelInfo
 from autolights.core.errors import DataError, UsageError
+from autolights.core.model_guard import read_model
 from autolights.infer.ports import Port, check_ports
 
 
@@ -16,19 +17,27 @@ class OpenVinoSession:
     Args:
         model_path: The ONNX file.
         info: What the model must look like.
+        sha256: What the file must hash to; empty: anything.
         threads: Of the inference; None leaves the choice to OpenVINO.
         bfloat16: Let it compute in bfloat16 where the CPU can (AMX, AVX512-BF16): faster, but class probabilities move
             in the third decimal. Else it computes as the model says, even where OpenVINO by itself would not.
 
     Raises:
         UsageError: If the file or the package is missing.
+        BundleError: If the file hashes to something else.
         DataError: If the file is no model, or input or output differ from `info`.
     """
 
     on_gpu = False
 
     def __init__(
-        self, model_path: Path, info: ModelInfo, *, threads: int | None = None, bfloat16: bool = False
+        self,
+        model_path: Path,
+        info: ModelInfo,
+        *,
+        sha256: str = "",
+        threads: int | None = None,
+        bfloat16: bool = False,
     ) -> None:
         if not model_path.is_file():
             raise UsageError(f"{model_path}: no such model; make one with `autolights export`")
@@ -45,9 +54,10 @@ class OpenVinoSession:
         }
         if threads is not None:
             settings["INFERENCE_NUM_THREADS"] = threads
+        data = read_model(model_path, sha256)
         core = openvino.Core()
         try:
-            model = core.read_model(model_path)
+            model = core.read_model(data, b"")
         except RuntimeError as error:
             raise DataError(f"{model_path}: OpenVINO cannot read it ({_reason(error)})") from error
         names = check_ports([_port(p) for p in model.inputs], [_port(p) for p in model.outputs], model_path, info)

@@ -9,6 +9,7 @@ import onnxruntime
 
 from autolights.core import FloatArray, ModelInfo
 from autolights.core.errors import DataError, UsageError
+from autolights.core.model_guard import read_model
 from autolights.infer.ports import Port, check_ports
 
 CPU = "CPUExecutionProvider"
@@ -50,6 +51,7 @@ class OnnxSession:
     Args:
         model_path: The ONNX file.
         info: What the model must look like.
+        sha256: What the file must hash to; empty: anything.
         providers: ONNX Runtime's execution providers in order of preference; None: the CPU.
         threads: Within an operator; None leaves the choice to ONNX Runtime.
         spin_us: How long an idle thread looks for work before it sleeps, microseconds.
@@ -57,6 +59,7 @@ class OnnxSession:
 
     Raises:
         UsageError: If the file is missing or a provider cannot be had.
+        BundleError: If the file hashes to something else.
         DataError: If the file is no model, or input or output differ from `info`.
     """
 
@@ -65,6 +68,7 @@ class OnnxSession:
         model_path: Path,
         info: ModelInfo,
         *,
+        sha256: str = "",
         providers: Sequence[str] | None = None,
         threads: int | None = None,
         spin_us: int = 0,
@@ -90,8 +94,9 @@ class OnnxSession:
             options.add_session_config_entry("session.intra_op.spin_duration_us", str(spin_us))
         if threads is not None:
             options.intra_op_num_threads = threads
+        data = read_model(model_path, sha256)
         try:
-            self._session = onnxruntime.InferenceSession(str(model_path), options, providers=wanted)
+            self._session = onnxruntime.InferenceSession(data, options, providers=wanted)
         except Exception as error:  # ONNX Runtime has a class of its own for each kind of damage
             raise DataError(f"{model_path}: ONNX Runtime cannot read it ({_first_line(error)})") from error
         # One that cannot be started (a library or driver is missing) is silently left out.

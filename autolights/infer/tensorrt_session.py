@@ -1,13 +1,14 @@
 """A TensorRT engine on the GPU that it was built for."""
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from autolights.core import FloatArray, ModelInfo
-from autolights.core.atomic import sha256
 from autolights.core.errors import DataError, UsageError
+from autolights.core.model_guard import read_model
 from autolights.infer.engine_info import EngineInfo, load_engine_info
 from autolights.infer.gpu import Gpu
 from autolights.infer.ports import Port, check_ports
@@ -23,15 +24,17 @@ class TensorRtSession:
     Args:
         model_path: The ONNX file; the engine, ``model.engine``, and its description lie beside it.
         info: What the model must look like.
+        sha256: What the ONNX file must hash to; empty: anything.
 
     Raises:
         UsageError: If library, GPU or engine is missing, or the engine is another model's, GPU's or version's.
+        BundleError: If the ONNX file hashes to something else.
         DataError: If the engine or its description is damaged, or inputs and outputs differ from `info`.
     """
 
     on_gpu = True
 
-    def __init__(self, model_path: Path, info: ModelInfo) -> None:
+    def __init__(self, model_path: Path, info: ModelInfo, *, sha256: str = "") -> None:
         trt = import_tensorrt()
         self._gpu = Gpu()
         engine_path = model_path.with_suffix(".engine")
@@ -39,12 +42,17 @@ class TensorRtSession:
         if not engine_path.is_file():
             raise UsageError(f"{engine_path}: no engine; {rebuild}")
         described = load_engine_info(engine_path)
-        _check_machine(engine_path, described, model_path, trt.__version__, self._gpu, rebuild)
+        _check_machine(engine_path, described, trt.__version__, self._gpu, rebuild)
+        if described.model_sha256 != _sha256(read_model(model_path, sha256)):
+            raise UsageError(f"{engine_path}: built of another model than {model_path}; {rebuild}")
+        engine = engine_path.read_bytes()
+        if described.engine_sha256 != _sha256(engine):
+            raise DataError(f"{engine_path}: its SHA-256 differs from its description: altered or damaged; {rebuild}")
         runtime = trt.Runtime(trt.Logger(trt.Logger.ERROR))
         trt.init_libnvinfer_plugins(None, "")
         if described.dla_core is not None:
             runtime.DLA_core = described.dla_core
-        self._engine = runtime.deserialize_cuda_engine(engine_path.read_bytes())
+        self._engine = runtime.deserialize_cuda_engine(engine)
         if self._engine is None:
             raise DataError(f"{engine_path}: TensorRT {trt.__version__} cannot read it; {rebuild}")
         self._context = self._engine.create_execution_context()
@@ -115,9 +123,11 @@ def import_tensorrt() -> Any:
     return tensorrt
 
 
-def _check_machine(
-    engine_path: Path, described: EngineInfo, model_path: Path, version: str, gpu: Gpu, rebuild: str
-) -> None:
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _check_machine(engine_path: Path, described: EngineInfo, version: str, gpu: Gpu, rebuild: str) -> None:
     here = gpu.info
     if described.tensorrt != version:
         raise UsageError(f"{engine_path}: built by TensorRT {described.tensorrt}, this is {version}; {rebuild}")
@@ -126,7 +136,3 @@ def _check_machine(
             f"{engine_path}: built for {described.gpu} ({described.compute_capability}), this is {here.name} "
             f"({here.compute_capability}); {rebuild}"
         )
-    if described.model_sha256 != sha256(model_path):
-        raise UsageError(f"{engine_path}: built of another model than {model_path}; {rebuild}")
-    if described.engine_sha256 != sha256(engine_path):
-        raise DataError(f"{engine_path}: its SHA-256 differs from its description: altered or damaged; {rebuild}")

@@ -9,7 +9,6 @@ import onnxruntime
 from pydantic import Field, ValidationError
 
 from autolights.core import Config
-from autolights.core.atomic import sha256
 from autolights.core.json_files import write_json
 from autolights.infer.execution import Execution, openvino_is_installed, usable_cpus
 
@@ -80,12 +79,10 @@ def this_machine() -> Machine:
     return Machine(name=platform.node() or "unknown", processor=_processor(), cpus=usable_cpus())
 
 
-def tuned_execution(model_path: Path) -> Execution | None:
+def tuned_execution(model_sha256: str) -> Execution | None:
     """What was measured to be best for this model on this machine; None if nothing was, or it is not here any more."""
     machine = this_machine()
-    if not _folder().is_dir() or not model_path.is_file():
-        return None
-    path = _path(machine, sha256(model_path))
+    path = _path(machine, model_sha256)
     try:
         tuning = Tuning.model_validate_json(path.read_bytes())
     except (OSError, ValidationError):  # not measured, or by another version: it can be measured again

@@ -3,7 +3,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from autolights.core.errors import UsageError
+from autolights.core.atomic import sha256
+from autolights.core.errors import BundleError, UsageError
 from autolights.infer import Detector, Execution
 
 ROWS = [[32, 16, 10, 20, 0.9, 0.8, 0.1], [10, 16, 8, 10, 0.9, 0.1, 0.4]]
@@ -179,3 +180,13 @@ def test_what_is_no_image_is_refused(constant_model, bad_image, message):
 def test_head_without_class_vectors_is_refused(constant_model):
     with pytest.raises(UsageError, match=r"'efficient-nms' .* no class vectors; export with --head raw or"):
         Detector(*constant_model(ROWS, head="efficient-nms"))
+
+
+def test_no_model_is_run_that_was_exchanged_after_its_hash_was_taken(constant_model):
+    path, info = constant_model(ROWS)
+    detector = Detector(path, info, Execution(threads=2, streams=2), sha256=sha256(path))
+    assert len(detector.batch([image(64, 32)] * 2)) == 2
+    path.write_bytes(path.read_bytes() + b" ")
+
+    with pytest.raises(BundleError, match=r"\.onnx: its SHA-256 differs"):
+        detector(image(64, 32))  # a single image opens a session with all threads

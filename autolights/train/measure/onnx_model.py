@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from autolights.core import Bundle, CountedWith, Detections, FloatArray, ModelInfo
-from autolights.core.atomic import sha256
+from autolights.core.atomic import sha256 as file_sha256
 from autolights.core.errors import UsageError
 from autolights.core.model_info import load_model_info
 from autolights.infer.decode import decode_outputs
@@ -26,6 +26,7 @@ class ExportedModel:
         model_path: The ONNX file.
         info: Its description.
         execution: How it is run; by default in ONNX Runtime on the CPU.
+        sha256: What the file must hash to; empty: anything.
 
     Attributes:
         info: Its description.
@@ -36,11 +37,13 @@ class ExportedModel:
         DataError: If the file is no model, or is not as described.
     """
 
-    def __init__(self, model_path: Path, info: ModelInfo, execution: Execution | None = None) -> None:
+    def __init__(
+        self, model_path: Path, info: ModelInfo, execution: Execution | None = None, *, sha256: str = ""
+    ) -> None:
         execution = execution or Execution()
         self.info = info
-        self._session = open_session(model_path, info, execution, threads=execution.threads)
-        self.counted_with = CountedWith(sha256(model_path), info.precision)
+        self._session = open_session(model_path, info, execution, threads=execution.threads, sha256=sha256)
+        self.counted_with = CountedWith(sha256 or file_sha256(model_path), info.precision)
 
     @classmethod
     def open(cls, path: Path, execution: Execution | None = None) -> Self:
@@ -53,7 +56,7 @@ class ExportedModel:
         """
         if path.is_dir():
             bundle = Bundle.load(path)
-            return cls(bundle.model_path, bundle.model, execution)
+            return cls(bundle.model_path, bundle.model, execution, sha256=bundle.model_sha256)
         if not path.is_file():
             raise UsageError(f"{path}: no such model; make one with `autolights export`")
         return cls(path, load_model_info(path), execution)
