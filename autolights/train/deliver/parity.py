@@ -13,12 +13,13 @@ import onnxruntime
 import torch
 from torch import Tensor
 
-from autolights.core import FloatArray, ImageArray, ModelInfo
-from autolights.core.boxes import match_boxes, nms, xyxy_from_cxcywh
+from autolights.core import BoolArray, FloatArray, ImageArray, ModelInfo
+from autolights.core.boxes import iou_matrix, match_boxes, nms, xyxy_from_cxcywh
 from autolights.core.errors import ParityError
 from autolights.core.model_info import Precision
 from autolights.infer.letterbox import InputBuffer
 from autolights.train.deliver.heads import MAX_CANDIDATES
+from autolights.train.deliver.near_ties import Near, decided_by_rounding
 from autolights.train.deliver.onnx_file import without_plugin
 from autolights.train.network.model import MAX_STRIDE, YoloV5
 
@@ -34,6 +35,7 @@ class Tolerance:
     unmatched_share: float
     agreement: float
     match_iou: float
+    tie_iou: float
     quantile: float
 
 
@@ -48,6 +50,7 @@ TOLERANCES: dict[Precision, Tolerance] = {
         unmatched_share=0.0,
         agreement=0.5,  # 1 in practice; of a network that knows nothing yet, all scores are nearly equal
         match_iou=0.9,
+        tie_iou=1e-3,
         quantile=1.0,
     ),
     # Judged by the lights: of rows that see nothing, class probabilities differ by 0.2. Of those that the shipped nano
@@ -62,6 +65,7 @@ TOLERANCES: dict[Precision, Tolerance] = {
         unmatched_share=0.02,
         agreement=0.5,
         match_iou=0.5,
+        tie_iou=0.01,
         quantile=0.98,
     ),
 }
@@ -80,7 +84,7 @@ class Parity:
         detection_px: Of any edge of such a light, in input pixels; of fp16 in all but the worst 2 %.
         score: Of any score or class probability of such a light; of fp16 in all but the worst 2 %.
         unmatched: Such lights that only one of the two reports, left aside those about as good as the threshold, or as
-            the last of a full list.
+            the last of a full list, and those that a near tie in suppression explains (see `near_ties`).
         agreement: Share of lights that both report when nothing but the 512 best rows of an image limits them: mostly
             lights far below the score threshold.
         candidates: The most rows above the score threshold that an image had.
@@ -183,21 +187,24 @@ def onnx_run(path: Path, info: ModelInfo) -> Run:
 
 @dataclass(frozen=True, eq=False)
 class _Lights:
-    """Boxes in input pixels with scores and class probabilities, best first."""
+    """Boxes in input pixels with scores and class probabilities."""
 
     boxes_xyxy: FloatArray
     scores: FloatArray
     class_probs: FloatArray
 
     @classmethod
-    def greedy(cls, rows: FloatArray, info: ModelInfo) -> "_Lights":
-        """Of (N, 5 + C) rows: the best 512, or all above the score threshold if these are more, suppressed."""
+    def candidates(cls, rows: FloatArray, info: ModelInfo) -> "_Lights":
+        """Of (N, 5 + C) rows the best 512, or all above the score threshold if these are more."""
         scores = _scores(rows)
         least = np.partition(scores, -MAX_CANDIDATES)[-MAX_CANDIDATES] if len(scores) > MAX_CANDIDATES else 0.0
         chosen = rows[scores >= min(least, info.score_threshold)].astype(np.float64)
-        boxes, scores = xyxy_from_cxcywh(chosen[:, :4]), _scores(chosen)
-        kept = nms(boxes, scores, iou_threshold=info.nms_iou_threshold, max_boxes=info.max_detections)
-        return cls(boxes[kept], scores[kept], chosen[kept, 5:])
+        return cls(xyxy_from_cxcywh(chosen[:, :4]), _scores(chosen), chosen[:, 5:])
+
+    def suppressed(self, info: ModelInfo) -> "_Lights":
+        """What greedy suppression leaves."""
+        kept = nms(self.boxes_xyxy, self.scores, iou_threshold=info.nms_iou_threshold, max_boxes=info.max_detections)
+        return _Lights(self.boxes_xyxy[kept], self.scores[kept], self.class_probs[kept])
 
     @classmethod
     def reported(cls, boxes: FloatArray, scores: FloatArray, _classes: FloatArray, probs: FloatArray) -> "_Lights":
@@ -228,7 +235,7 @@ class _Differences:
         self.images += 1
         self.candidates = max(self.candidates, int(np.count_nonzero(_scores(wanted) >= info.score_threshold)))
         if info.head == "end2end":
-            self._add_lights(_Lights.greedy(wanted, info), _Lights.reported(*outputs))
+            self._add_lights(_Lights.candidates(wanted, info), _Lights.reported(*outputs))
             return
         if info.head == "raw":
             got = outputs[0].astype(np.float32)
@@ -238,9 +245,10 @@ class _Differences:
         difference = np.abs(got - wanted)
         self.box_px = np.maximum(self.box_px, difference[:, :4].max())  # np.maximum hands NaN on
         self.prob = np.maximum(self.prob, difference[:, 4:].max())
-        self._add_lights(_Lights.greedy(wanted, info), _Lights.greedy(got, info))
+        self._add_lights(_Lights.candidates(wanted, info), _Lights.candidates(got, info).suppressed(info))
 
-    def _add_lights(self, ours: _Lights, theirs: _Lights) -> None:
+    def _add_lights(self, candidates: _Lights, theirs: _Lights) -> None:
+        ours = candidates.suppressed(self.info)
         threshold = self.info.score_threshold
         a, b = match_boxes(ours.boxes_xyxy, theirs.boxes_xyxy, iou_threshold=self.tolerance.match_iou)
         self.both += 2 * len(a)
@@ -248,13 +256,29 @@ class _Differences:
         self.detections += int(np.count_nonzero(ours.scores >= threshold))
         # What is about as good as the threshold, or as the last of a full list, may be on one side only.
         full = [lights.scores[-1] for lights in (ours, theirs) if len(lights.scores) == self.info.max_detections]
-        single = np.concatenate([np.delete(ours.scores, a), np.delete(theirs.scores, b)])
-        self.unmatched += int(np.count_nonzero(single > max([threshold, *full]) + self.tolerance.score))
+        counts = max([threshold, *full]) + self.tolerance.score
+        single = (np.setdiff1d(np.arange(len(ours.scores)), a), np.setdiff1d(np.arange(len(theirs.scores)), b))
+        explained = decided_by_rounding(
+            (ours.boxes_xyxy, theirs.boxes_xyxy),
+            (ours.scores, theirs.scores),
+            single,
+            Near(self.info.nms_iou_threshold, self.tolerance.tie_iou, self.tolerance.score),
+        )
+        theirs_alone = theirs.boxes_xyxy[single[1]], theirs.scores[single[1]]
+        unmatched_ours = ~explained[0] & (ours.scores[single[0]] > counts)
+        unmatched_theirs = ~(explained[1] & self._among(candidates, *theirs_alone)) & (theirs_alone[1] > counts)
+        self.unmatched += int(np.count_nonzero(unmatched_ours) + np.count_nonzero(unmatched_theirs))
         shown = ours.scores[a] >= threshold
         a, b = a[shown], b[shown]
         self.moved += np.abs(ours.boxes_xyxy[a] - theirs.boxes_xyxy[b]).max(axis=1).tolist()
         probs = np.abs(ours.class_probs[a] - theirs.class_probs[b]).max(axis=1)
         self.scores += np.maximum(np.abs(ours.scores[a] - theirs.scores[b]), probs).tolist()
+
+    def _among(self, candidates: _Lights, boxes_xyxy: FloatArray, scores: FloatArray) -> BoolArray:
+        """Which lights the network has as well, if only before suppression."""
+        same_box = iou_matrix(boxes_xyxy, candidates.boxes_xyxy) >= self.tolerance.match_iou
+        same_score = np.abs(scores[:, None] - candidates.scores) <= self.tolerance.score
+        return np.asarray((same_box & same_score).any(axis=1))
 
     def parity(self) -> Parity:
         """The result."""

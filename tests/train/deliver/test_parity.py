@@ -79,3 +79,71 @@ def test_a_light_that_one_alone_sees_counts_unless_it_is_at_the_threshold():
     assert compared(unseen, seen).unmatched == 1
     assert compared(seen, unseen).agreement == 0.5
     assert compared(rows((60, 20, 10, 0.25005)), rows((60, 40, 10, 0.24995))).unmatched == 0
+
+
+# 10 px squares that lie 10/3 px apart overlap by exactly the threshold of 0.5.
+THIRD = 10 / 3
+
+
+@pytest.mark.parametrize(
+    ("wanted", "got"),
+    [
+        pytest.param(
+            rows((20, 20, 10, 0.9), (20 + THIRD - 1e-5, 20, 10, 0.8)),
+            rows((20, 20, 10, 0.9), (20 + THIRD + 1e-5, 20, 10, 0.8)),
+            id="overlap-at-the-threshold",
+        ),
+        pytest.param(
+            rows((20, 20, 10, 0.80001), (22, 20, 10, 0.8)),
+            rows((20, 20, 10, 0.8), (22, 20, 10, 0.80001)),
+            id="either-first",
+        ),
+        pytest.param(  # the second is suppressed or not, and so the third is not or is
+            rows((20, 20, 10, 0.9), (20 + THIRD - 1e-5, 20, 10, 0.8), (26, 20, 10, 0.7)),
+            rows((20, 20, 10, 0.9), (20 + THIRD + 1e-5, 20, 10, 0.8), (26, 20, 10, 0.7)),
+            id="and-what-follows",
+        ),
+    ],
+)
+def test_lights_that_rounding_suppresses_are_left_aside(wanted, got):
+    for ours, theirs in ((wanted, got), (got, wanted)):
+        parity = compared(ours, theirs)
+
+        assert parity.unmatched == 0
+        assert parity.agreement < 1
+
+
+@pytest.mark.parametrize(
+    ("wanted", "got"),
+    [
+        pytest.param((20, 20, 10, 0.9), (21, 20, 10, 0.9), id="moved"),
+        pytest.param((20, 20, 10, 0.9), (20, 20, 12, 0.9), id="larger"),
+    ],
+)
+def test_what_only_looks_like_a_near_tie_counts(wanted, got):
+    assert compared(rows(wanted), rows(got)).unmatched == 1
+
+
+def test_no_suppression_at_all_counts():
+    wanted = rows((20, 20, 10, 0.9), (21, 20, 10, 0.8), (21, 21, 10, 0.7))
+    info = ModelInfo(classes=("a", "b"), size_wh=(96, 64), opset=17, precision="fp32", head="end2end")
+    found = _Differences(info)
+    boxes = np.hstack([wanted[:, :2] - wanted[:, 2:4] / 2, wanted[:, :2] + wanted[:, 2:4] / 2])
+
+    found.add(wanted[None], [boxes[None], wanted[None, :, 4], np.zeros((1, 3), np.int64), wanted[None, :, 5:]])
+
+    assert found.parity().unmatched == 2
+
+
+def test_rounding_in_a_crowd_explains_everything_and_a_lost_light_nothing():
+    random = np.random.default_rng(4)
+    for _ in range(30):
+        # On a coarse grid with coarse scores, so that ties are everywhere.
+        places, scores = random.integers(0, 30, (60, 2)) * THIRD, random.integers(5, 9, 60) / 10
+        crowd = rows(*((x, y, 10, score) for (x, y), score in zip(places, scores, strict=True)), (180, 20, 10, 0.6))
+        rounded = crowd.copy()
+        rounded[:, :2] += random.normal(0, 1e-5, (61, 2))
+        rounded[:, 4] += random.normal(0, 1e-6, 61)
+
+        assert compared(crowd, rounded).unmatched == 0
+        assert compared(crowd, rounded[:-1].repeat([1] * 59 + [2], axis=0)).unmatched == 1
