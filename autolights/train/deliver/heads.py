@@ -4,6 +4,7 @@ Each head is a module that torch traces. The network's 1×1 convolutions may run
 is float32, since pixels beyond 2048 have no exact half and scores decide who suppresses whom.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,7 +38,7 @@ def row_count(size_wh: tuple[int, int], strides: Sequence[int]) -> int:
     return sum(3 * (size_wh[0] // stride) * (size_wh[1] // stride) for stride in strides)
 
 
-class _Rows(nn.Module):
+class _Rows(nn.Module, ABC):
     """The network up to its probabilities, one row for each level, anchor, y and x.
 
     What a row's cell and anchor add to its decoding is a table of six columns: twice the stride for x and for y, the
@@ -58,9 +59,9 @@ class _Rows(nn.Module):
         logits = [_RowsOfMap.apply(logits, 5 + self.class_count) for logits in maps]
         return torch.cat(logits, dim=1).sigmoid(), self.table(maps)
 
+    @abstractmethod
     def table(self, maps: Sequence[Tensor]) -> Tensor:
         """Per level (B, channels, rows, columns) → (N, 6)."""
-        raise NotImplementedError
 
 
 class _FixedRows(_Rows):

@@ -2,6 +2,7 @@ import importlib.util
 import itertools
 import subprocess
 
+import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper
@@ -9,8 +10,10 @@ from onnx import TensorProto, helper
 from autolights.core import ModelInfo
 from autolights.core.errors import DataError, UsageError
 from autolights.train.deliver import tensorrt_check
+from autolights.train.deliver.calibration import measure_ranges
 from autolights.train.deliver.export import in_precision
 from autolights.train.deliver.onnx_file import finish, trace
+from autolights.train.deliver.quantization import QuantizableModel
 from autolights.train.deliver.tensorrt_check import COMPUTE_CAPABILITIES, check_tensorrt
 from autolights.train.deliver.tensorrt_shapes import input_shapes, trtexec_command
 
@@ -38,11 +41,18 @@ def odd(tmp_path, model):
     return tmp_path / "odd.onnx", described(model)
 
 
+def in_8_bits(proto):
+    """Calibrated on noise, without the layers that `quantize` leaves in float for accuracy."""
+    quantizable = QuantizableModel(proto)
+    noise = [np.random.default_rng(3).random((1, 3, 96, 128), dtype=np.float32)]
+    return quantizable.quantize("tensorrt", measure_ranges(proto, quantizable.tensors("tensorrt"), noise, "minmax"))
+
+
 @needs_tensorrt
 @pytest.mark.parametrize(
     ("head", "precision", "freedom"),
     [
-        *itertools.product(["raw", "end2end"], ["fp32", "fp16"], ["fixed", "dynamic"]),
+        *itertools.product(["raw", "end2end"], ["fp32", "fp16", "int8"], ["fixed", "dynamic"]),
         ("efficient-nms", "fp32", "fixed"),
     ],
 )
@@ -50,7 +60,8 @@ def test_tensorrt_builds_every_form(model, tmp_path, head, precision, freedom):
     free = freedom == "dynamic"
     info = described(model, head=head, precision=precision, dynamic_batch=free, dynamic_size=free)
     path = tmp_path / "model.onnx"
-    onnx.save(finish(in_precision(trace(model, info), info), info), path)
+    proto = trace(model, info)
+    onnx.save(finish(in_8_bits(proto) if precision == "int8" else in_precision(proto, info), info), path)
 
     check = check_tensorrt(path, info)
 
