@@ -18,7 +18,7 @@ from autolights.core.atomic import new_folder
 from autolights.core.errors import UsageError
 from autolights.core.progress import say, track
 from autolights.data.detection_files import DetectedImage, DetectionFormat, open_writer
-from autolights.infer import Detector, ImageSources, draw_detections
+from autolights.infer import Detector, Execution, ImageSources, draw_detections
 from autolights.infer.sources import SourceImage
 
 PICTURES = "pictures"
@@ -62,7 +62,7 @@ def detect_files(
     scores: bool = True,
     pictures: bool = True,
     max_images: int | None = None,
-    threads: int | None = None,
+    execution: Execution | None = None,
     force: bool = False,
 ) -> DetectSummary:
     """Detect lights in images, videos or a camera's frames.
@@ -80,7 +80,7 @@ def detect_files(
         scores: Add scores to YOLO labels.
         pictures: Write pictures as well.
         max_images: Stop after so many; None for no limit.
-        threads: Of ONNX Runtime within an operator; None leaves the choice to it.
+        execution: How the detector is run; None: see `Detector.from_bundle`.
         force: Replace `out_dir` if it exists.
 
     Raises:
@@ -89,7 +89,7 @@ def detect_files(
     """
     bundle = Bundle.load(bundle_dir)
     sources = ImageSources(inputs, cameras=True)
-    detector = Detector.from_bundle(bundle, score_threshold=score_threshold, threads=threads)
+    detector = Detector.from_bundle(bundle, execution, score_threshold=score_threshold)
     images = found = 0
     spent_s = 0.0
     with _signals_stop(sources) if sources.live else nullcontext(), new_folder(out_dir, force=force) as folder:

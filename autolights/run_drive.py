@@ -19,7 +19,7 @@ from autolights.core.json_files import write_json
 from autolights.core.progress import say, track
 from autolights.data import Drive, FrameRecord
 from autolights.data.run_output import DETECTIONS, ESTIMATES, RUN
-from autolights.infer import Detector
+from autolights.infer import Detector, Execution
 from autolights.pipeline import ImageDetector, LightPipeline, PipelineConfig
 
 UNREADABLE = "unreadable image"
@@ -89,7 +89,7 @@ def run_drive(
     variants: Sequence[str] = VARIANTS,
     explain: bool = False,
     force: bool = False,
-    threads: int | None = None,
+    execution: Execution | None = None,
     detector: ImageDetector | None = None,
 ) -> RunSummary:
     """Run the pipeline's variants over a drive; images are detected once for all of them.
@@ -104,7 +104,7 @@ def run_drive(
         variants: Of ``od``, ``fusion``, ``full``.
         explain: Also write boxes, costs, pairs and beliefs into each line.
         force: Replace `out_dir`.
-        threads: Of ONNX Runtime; None leaves the choice to it.
+        execution: How the bundle's detector is run; None: see `Detector.from_bundle`.
         detector: Instead of the bundle's.
 
     Raises:
@@ -115,7 +115,7 @@ def run_drive(
     if unknown or not variants:
         raise UsageError(f"variant must be one of {', '.join(VARIANTS)}, got {unknown[0] if unknown else 'none'}")
     refuse_existing(out_dir, force=force)
-    detector = detector or Detector.from_bundle(bundle, threads=threads, images_at_once=len(drive.cameras))
+    detector = detector or Detector.from_bundle(bundle, execution, images_at_once=len(drive.cameras))
     poses = drive.pose_buffer()  # only read from here on, so one serves all variants
     run = _Run(
         drive,
@@ -147,6 +147,7 @@ def run_drive(
             "version": autolights.__version__,
             "bundle": str(bundle.model_path.parent.resolve()),
             "config": config.model_dump(mode="json"),
+            "execution": detector.execution.model_dump(mode="json") if isinstance(detector, Detector) else None,
             **summary.to_json(),
         }
         write_json(folder / RUN, values)

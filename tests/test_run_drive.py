@@ -101,6 +101,7 @@ def test_all_variants_on_detections_computed_once(
     assert Path(info["drive"]).name == "town"
     assert info["skipped_frames"] == 0
     assert info["config"]["track"]["birth_hits"] == 2
+    assert info["execution"] is None  # somebody's own detector
     for variant in ("od", "fusion", "full"):
         times = info["variants"][variant]
         assert (times["sets"], times["images"]) == (SETS, 2 * SETS)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from autolights.cli.options import Force, Json, Out, Overrides, Threads
+from autolights.cli.options import BackendName, Force, Json, Out, Overrides, Providers, Threads, chosen_execution
 
 
 def run(
@@ -24,6 +24,8 @@ def run(
         ),
     ] = None,
     out: Out = Path("runs/estimates"),
+    backend: BackendName = None,
+    provider: Providers = None,
     threads: Threads = 0,
     explain: Annotated[bool, typer.Option("--explain", help="Also write detections, costs and beliefs.")] = False,
     force: Force = False,
@@ -43,15 +45,16 @@ def run(
 
     loaded = Bundle.load(bundle)
     settings = load_config(config, PipelineConfig, overrides or ())
+    recorded = Drive.load(drive, loaded.signals)
     summary = run_drive(
         loaded,
-        Drive.load(drive, loaded.signals),
+        recorded,
         settings,
         out,
         variants=tuple(variant or (settings.variant,)),
         explain=explain,
         force=force,
-        threads=threads or None,
+        execution=chosen_execution(backend, provider, threads, len(recorded.cameras)),
     )
     if as_json:
         typer.echo(json.dumps(summary.to_json()))
@@ -73,6 +76,8 @@ def detect(
     scores: Annotated[bool, typer.Option(help="Scores as a sixth column of YOLO texts.")] = True,
     pictures: Annotated[bool, typer.Option(help="Write pictures with boxes.")] = True,
     max_images: Annotated[int, typer.Option(min=0, help="Stop after so many images; 0: never.")] = 0,
+    backend: BackendName = None,
+    provider: Providers = None,
     threads: Threads = 0,
     force: Force = False,
     as_json: Json = False,
@@ -109,7 +114,7 @@ def detect(
         scores=scores,
         pictures=pictures,
         max_images=max_images or None,
-        threads=threads or None,
+        execution=chosen_execution(backend, provider, threads, 1),
         force=force,
     )
     if as_json:

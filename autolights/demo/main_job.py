@@ -11,6 +11,7 @@ from autolights.data import Drive, load_image_dataset
 from autolights.demo.config import DemoConfig
 from autolights.demo.stages import Stages
 from autolights.evaluate import Evaluation, evaluate, summary, write_report
+from autolights.infer import Execution
 from autolights.pipeline import PipelineConfig
 from autolights.run_drive import run_drive
 from autolights.sim import DrivesConfig, ImagesConfig, simulate_drives, simulate_images
@@ -138,7 +139,9 @@ class _MainJob:
         bundle = Bundle.load(self.bundle)
         for run_dir, drive_dir in self._runs():
             drive = Drive.load(drive_dir, bundle.signals)
-            run_drive(bundle, drive, self.runtime_config, run_dir, threads=self.config.threads or None, force=True)
+            threads = self.config.threads or None
+            execution = Execution.for_images(len(drive.cameras), threads=threads) if threads else None
+            run_drive(bundle, drive, self.runtime_config, run_dir, execution=execution, force=True)
 
     def _report(self, minutes: dict[str, float]) -> None:
         write_report(

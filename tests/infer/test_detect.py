@@ -10,12 +10,14 @@ import cv2
 import numpy as np
 import pytest
 from pycocotools.coco import COCO
+from typer.testing import CliRunner
 
+from autolights.cli.app import app
 from autolights.core import Bundle, ConfusionMatrix, load_signals
 from autolights.core.errors import UsageError
 from autolights.data.image_labels import read_labels
 from autolights.detect import detect_files
-from autolights.infer import Detector, sources
+from autolights.infer import Detector, Execution, sources
 from autolights.train.deliver.hmm_fitting import fit_hmm
 
 SIGNALS = load_signals()
@@ -51,7 +53,7 @@ def photos(tmp_path):
 
 
 def test_lines_pictures_and_counts(bundle_dir, photos, tmp_path, capsys):
-    summary = detect_files(bundle_dir, [photos], tmp_path / "out", threads=1)
+    summary = detect_files(bundle_dir, [photos], tmp_path / "out", execution=Execution(threads=1))
 
     assert (summary.images, summary.detections, summary.skipped, summary.bad_frames) == (2, 2, 1, 0)
     assert summary.images_per_s > 0
@@ -272,3 +274,29 @@ def test_ctrl_c_in_the_middle_of_files_leaves_nothing(bundle_dir, photos, tmp_pa
 
 def test_a_limit_of_images(bundle_dir, photos, tmp_path):
     assert detect_files(bundle_dir, [photos], tmp_path / "out", max_images=1, pictures=False).images == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--backend", "abacus"], "--backend must be one of onnxruntime, openvino, tensorrt, got 'abacus'"),
+        (["--provider", "AbacusProvider"], "ONNX Runtime has no provider 'AbacusProvider' here; there are:"),
+        (["--backend", "tensorrt", "--provider", "X"], "--provider is a choice of the backend onnxruntime"),
+    ],
+)
+def test_a_way_to_run_that_is_not_there_is_misuse(bundle_dir, photos, tmp_path, options, text):
+    result = CliRunner().invoke(app, ["detect", str(bundle_dir), str(photos), "-o", str(tmp_path / "out"), *options])
+
+    assert isinstance(result.exception, UsageError)
+    assert text in str(result.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_way_to_run_is_chosen(bundle_dir, photos, tmp_path, monkeypatch):
+    chosen = []
+    monkeypatch.setattr(Detector, "__init__", lambda _self, _path, _info, execution, **_: chosen.append(execution))
+    options = ["--backend", "onnxruntime", "--provider", "CPUExecutionProvider", "--threads", "2"]
+
+    CliRunner().invoke(app, ["detect", str(bundle_dir), str(photos), "-o", str(tmp_path / "out"), *options])
+
+    assert chosen == [Execution(providers=("CPUExecutionProvider",), threads=2)]
