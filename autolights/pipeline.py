@@ -43,6 +43,8 @@ from autolights.track import (
     PlaceConfig,
     ProjectedLights,
     RegionConfig,
+    Relevance,
+    RelevanceConfig,
     TrackConfig,
     TrackManager,
     associate,
@@ -78,6 +80,8 @@ class PipelineConfig(Config):
         places: What is known of the errors of places before anything is seen; of it come positions that the images
             have refined, with their covariance. null leaves map lights where the map has them (the paper).
         track: Birth, death and memory.
+        relevance: Which lights belong to one intersection and govern the vehicle's approach; null tells nothing of
+            that and leaves estimates in the order of track ids.
         regions: By camera, which part of its images the detector looks at; of cameras that are not named, all.
     """
 
@@ -90,6 +94,7 @@ class PipelineConfig(Config):
     alignment: AlignmentConfig | None = AlignmentConfig()
     places: PlaceConfig | None = PlaceConfig()
     track: TrackConfig = TrackConfig()
+    relevance: RelevanceConfig | None = RelevanceConfig()
     regions: dict[str, RegionConfig] = Field(default_factory=dict)
 
 
@@ -139,6 +144,7 @@ class LightPipeline:
         skipped: How many frames were left out, by reason.
         clock_jumps: How often the clock was set back, after which all tracks began anew.
         last_skip: The latest reason in full; empty if no frame was left out.
+        lanes: Names of the map's lanes on which the vehicle is, if you know better; None lets its place tell.
 
     Raises:
         MapError: If a light has a type that `signals` does not know.
@@ -169,6 +175,7 @@ class LightPipeline:
         self.skipped: Counter[str] = Counter()
         self.last_skip = ""
         self.clock_jumps = 0
+        self.lanes: Sequence[str] | None = None
         self._detector = detector
         self._hmm = hmm
         self._signals = signals
@@ -178,6 +185,8 @@ class LightPipeline:
         self._alignments = self._new_alignments()
         places = self.config.places
         self._places = PlaceBook(lights, self._cameras, places) if places else None
+        relevance = self.config.relevance
+        self._relevance = Relevance(lights, relevance) if relevance else None
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
         self._memoryless = MemorylessLights(lights, signals)
         self._class_types = np.array([signals.type_of[name] for name in signals.classes])
@@ -212,7 +221,8 @@ class LightPipeline:
             frames: Of the cameras that exposed together, in any order; each has its own stamp.
 
         Returns:
-            Estimates at the latest stamp of the set; none if every frame had to be left out.
+            Estimates at the latest stamp of the set, nearest upcoming intersection first; none if every frame had to be
+            left out.
 
         Raises:
             UsageError: If a frame comes from an unknown camera.
@@ -256,10 +266,15 @@ class LightPipeline:
         self._behind = (observations, (*self._lights.ids, *(f"track {i}" for i in self._tracks.unmapped.ids)))
         if self.config.variant == "fusion":
             return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]
+        pose = observations[-1].pose
         if self._places is None:
-            return self._tracks.update(observations, set_ns)
-        self._places.take_in(observations, self._tracks.unmapped, set_ns)
-        return self._placed(self._tracks.update(observations, set_ns), observations[-1].pose)
+            lights = self._tracks.update(observations, set_ns)
+        else:
+            self._places.take_in(observations, self._tracks.unmapped, set_ns)
+            lights = self._placed(self._tracks.update(observations, set_ns), pose)
+        return (
+            lights if self._relevance is None else self._relevance.tell(lights, self._tracks.unmapped, pose, self.lanes)
+        )
 
     def health(self) -> dict[str, CameraHealth]:
         """What each camera's images say of its calibration; empty without `alignment`."""
@@ -296,10 +311,11 @@ class LightPipeline:
             raise DataError(f"pipeline state: damaged ({type(error).__name__}: {error}); start without it") from error
 
     def explain(self) -> dict[str, Any]:
-        """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs and beliefs."""
+        """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs, beliefs and lanes."""
         observations, light_names = self._behind
         images = [explain_observation(observation, light_names, self._signals) for observation in observations]
-        return {"images": images, "tracks": self._tracks.explain()}
+        relevance = None if self._relevance is None else self._relevance.explain()
+        return {"images": images, "tracks": self._tracks.explain(), "relevance": relevance}
 
     def _check_cameras(self, frames: Sequence[Stamped]) -> None:
         for frame in frames:

@@ -18,7 +18,7 @@ from autolights.core.estimates import VARIANTS, Variant
 from autolights.core.json_files import write_json
 from autolights.core.progress import say, track
 from autolights.data import Drive, FrameRecord
-from autolights.data.run_output import DETECTIONS, ESTIMATES, RUN
+from autolights.data.run_output import DETECTIONS, ESTIMATES, ESTIMATES_FORMAT, RUN
 from autolights.infer import Detector, Execution
 from autolights.pipeline import ImageDetector, LightPipeline, PipelineConfig
 
@@ -233,6 +233,7 @@ class _Run:
 
     def _line(self, frames: Sequence[CameraFrame], variant: str, lights: Sequence[LightEstimate]) -> dict[str, Any]:
         return {
+            "format": ESTIMATES_FORMAT,
             "stamp_ns": max(frame.stamp_ns for frame in frames),
             "variant": variant,
             "frames": [{"camera": frame.camera, "stamp_ns": frame.stamp_ns} for frame in frames],

@@ -45,6 +45,9 @@ class LightEstimate:
         distance_m: From the vehicle to the light.
         last_seen_ns: Stamp of the last detection.
         views: One for each camera that covers the light.
+        ahead_m: From the vehicle to the light along the way it heads, negative behind it; None where nobody asked.
+        intersection: To which it belongs: the map's name, or one derived (`autolights.track.relevance`); None likewise.
+        governs: Whether it is meant for the vehicle's approach; None where the way its face looks is not known.
     """
 
     stamp_ns: int
@@ -60,6 +63,9 @@ class LightEstimate:
     distance_m: float
     last_seen_ns: int
     views: tuple[CameraView, ...] = ()
+    ahead_m: float | None = None
+    intersection: str | None = None
+    governs: bool | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_float_array(self.position, (3,), "position"))
@@ -94,6 +100,9 @@ class LightEstimate:
             "position": [round(float(value), 3) for value in self.position],
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "distance_m": round(self.distance_m, 3),
+            "ahead_m": None if self.ahead_m is None else round(self.ahead_m, 3),
+            "intersection": self.intersection,
+            "governs": self.governs,
             "last_seen_ns": self.last_seen_ns,
             "views": [
                 {
@@ -131,6 +140,10 @@ class LightEstimate:
                 distance_m=float(values["distance_m"]),
                 last_seen_ns=int(values["last_seen_ns"]),
                 views=views,
+                # Format 1 does not have these.
+                ahead_m=None if values.get("ahead_m") is None else float(values["ahead_m"]),
+                intersection=None if values.get("intersection") is None else str(values["intersection"]),
+                governs=None if values.get("governs") is None else bool(values["governs"]),
             )
         except KeyError as error:
             raise DataError(f"light estimate: field {error} is missing") from error

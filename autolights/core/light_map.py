@@ -1,6 +1,7 @@
 """The lights that an HD map knows, and the question which of them are near."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,10 @@ class TrafficLightMap:
         positions: (n, 3) centre of the housing: east, north, up in metres.
         headings_deg: (n,) the way the face looks, clockwise from north.
         sizes_m: (n, 3) width, height, depth of the housing.
+        intersections: n names, empty where the map gives none.
+        groups: n names of signal groups, empty where the map gives none.
+        lanes: n tuples of names of the lanes whose traffic each light governs, empty where the map gives none.
+        lane_lines: By lane: (k, 2) east and north in metres along its middle, in the direction of travel.
 
     Raises:
         MapError: If ids repeat or a column does not fit.
@@ -32,6 +37,8 @@ class TrafficLightMap:
     sizes_m: FloatArray
     intersections: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
+    lanes: tuple[tuple[str, ...], ...] = ()
+    lane_lines: Mapping[str, FloatArray] = field(default_factory=dict)
     _tree: cKDTree | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
@@ -51,6 +58,13 @@ class TrafficLightMap:
             if len(column) != n:
                 raise MapError(f"a map of {n} lights needs {n} {name}, got {len(column)}")
             object.__setattr__(self, name, tuple(column))
+        lanes = self.lanes or ((),) * n
+        if len(lanes) != n:
+            raise MapError(f"a map of {n} lights needs {n} tuples of lanes, got {len(lanes)}")
+        object.__setattr__(self, "lanes", lanes)
+        for lane, line in self.lane_lines.items():
+            if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not np.isfinite(line).all():
+                raise MapError(f"lane '{lane}' needs a line of two points or more, got an array of shape {line.shape}")
         object.__setattr__(self, "_tree", cKDTree(self.positions) if n else None)
 
     def __len__(self) -> int:
@@ -66,6 +80,8 @@ class TrafficLightMap:
             sizes_m=self.sizes_m[indices],
             intersections=tuple(self.intersections[i] for i in indices),
             groups=tuple(self.groups[i] for i in indices),
+            lanes=tuple(self.lanes[i] for i in indices),
+            lane_lines=self.lane_lines,
         )
 
     def within(self, position: FloatArray, radius_m: float) -> IntArray:

@@ -24,8 +24,10 @@ _LON_LAT_DECIMALS = 10  # 0.01 mm
 def load_map(path: Path, signals: SignalSet, utm_zone: int, hemisphere: Hemisphere) -> TrafficLightMap:
     """Read a map's lights in the order of the file.
 
-    Each feature is a Point with `id`, `type`, `height_m` (of the housing's centre), `heading_deg` and optionally
-    `intersection` and `group`; other properties, such as `lanes`, are left alone. Sizes come from the type.
+    A light is a Point with `id`, `type`, `height_m` (of the housing's centre), `heading_deg` and optionally
+    `intersection`, `group` and `lanes` (names of the lanes whose traffic it governs). A lane is a LineString along its
+    middle, in the direction of travel, with `lane`, its name. Other properties are left alone. Sizes come from the
+    type.
 
     Args:
         path: The GeoJSON file.
@@ -34,11 +36,12 @@ def load_map(path: Path, signals: SignalSet, utm_zone: int, hemisphere: Hemisphe
         hemisphere: Of the zone.
 
     Raises:
-        MapError: If the file or a property is missing, a light's type is unknown, or its coordinates lie outside the
-            earth or far outside the zone; the text names file and light.
+        MapError: If the file or a property is missing, a light's type is unknown, a lane is given twice or has no line,
+            or coordinates lie outside the earth or far outside the zone; the text names file and light.
     """
-    features = _read_features(path)
-    rows = [_read_light(path, i, feature, signals) for i, feature in enumerate(features)]
+    features = list(enumerate(_read_features(path)))
+    lanes = [(i, feature) for i, feature in features if _is_lane(feature)]
+    rows = [_read_light(path, i, feature, signals) for i, feature in features if not _is_lane(feature)]
     lon_lat = np.array([row["lon_lat"] for row in rows], dtype=np.float64).reshape(-1, 2)
     transformer = _utm_from_lon_lat(utm_zone, hemisphere)
     meridian = 6 * utm_zone - 183
@@ -60,6 +63,8 @@ def load_map(path: Path, signals: SignalSet, utm_zone: int, hemisphere: Hemisphe
             sizes_m=signals.sizes_m(types),
             intersections=tuple(row["intersection"] for row in rows),
             groups=tuple(row["group"] for row in rows),
+            lanes=tuple(row["lanes"] for row in rows),
+            lane_lines=_read_lanes(path, lanes, transformer),
         )
     except MapError as error:
         raise MapError(f"{path}: {error}") from error
@@ -72,7 +77,7 @@ def save_map(path: Path, lights: TrafficLightMap, utm_zone: int, hemisphere: Hem
         MapError: If the zone does not exist.
     """
     lon_lat = lon_lat_from_utm(lights.positions[:, :2], utm_zone, hemisphere)
-    features = [
+    features: list[dict[str, Any]] = [
         {
             "type": "Feature",
             "geometry": {
@@ -86,10 +91,15 @@ def save_map(path: Path, lights: TrafficLightMap, utm_zone: int, hemisphere: Hem
                 "heading_deg": round(float(lights.headings_deg[i]) % 360, 4),
                 "intersection": lights.intersections[i],
                 "group": lights.groups[i],
+                **({"lanes": list(lights.lanes[i])} if lights.lanes[i] else {}),
             },
         }
         for i in range(len(lights))
     ]
+    for lane, line in lights.lane_lines.items():
+        points = lon_lat_from_utm(line, utm_zone, hemisphere).round(_LON_LAT_DECIMALS).tolist()
+        geometry = {"type": "LineString", "coordinates": points}
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"lane": lane}})
     write_json(path, {"type": "FeatureCollection", "features": features})
 
 
@@ -114,6 +124,39 @@ def _read_features(path: Path) -> list[Any]:
     return features
 
 
+def _is_lane(feature: Any) -> bool:
+    try:
+        return feature["geometry"]["type"] == "LineString" and "lane" in feature["properties"]
+    except (KeyError, TypeError):
+        return False
+
+
+def _read_lanes(path: Path, features: list[tuple[int, Any]], transformer: pyproj.Transformer) -> dict[str, FloatArray]:
+    lines: dict[str, FloatArray] = {}
+    for index, feature in features:
+        lane = str(feature["properties"]["lane"])
+        where = f"{path}: feature {index}: lane '{lane}'"
+        if lane in lines:
+            raise MapError(f"{where} is given twice")
+        try:
+            lon_lat = np.array([point[:2] for point in feature["geometry"]["coordinates"]], dtype=np.float64)
+        except (KeyError, TypeError, ValueError) as error:
+            raise MapError(f"{where}: {error}") from error
+        # Written so that NaN fails too.
+        if lon_lat.ndim != 2 or len(lon_lat) < 2 or not (np.abs(lon_lat) <= (180.0, 90.0)).all():
+            raise MapError(f"{where}: needs two points or more of longitude and latitude, got {lon_lat.tolist()}")
+        lines[lane] = np.column_stack(transformer.transform(lon_lat[:, 0], lon_lat[:, 1], errcheck=True))
+    return lines
+
+
+def _read_lane_names(value: Any) -> tuple[str, ...]:
+    if value is None:
+        return ()
+    if not isinstance(value, list) or not all(isinstance(name, str | int) for name in value):
+        raise ValueError(f"lanes must be a list of names, got {value!r}")
+    return tuple(str(name) for name in value)
+
+
 def _read_light(path: Path, index: int, feature: Any, signals: SignalSet) -> dict[str, Any]:
     where = f"{path}: feature {index}"
     try:
@@ -131,6 +174,7 @@ def _read_light(path: Path, index: int, feature: Any, signals: SignalSet) -> dic
             "heading_deg": float(properties["heading_deg"]),
             "intersection": str(properties.get("intersection") or ""),
             "group": str(properties.get("group") or ""),
+            "lanes": _read_lane_names(properties.get("lanes")),
         }
     except KeyError as error:
         raise MapError(f"{where}: property {error} is missing") from error

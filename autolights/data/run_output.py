@@ -14,6 +14,7 @@ from autolights.core.json_files import read_json_object
 from autolights.data.tables import read_json_lines
 
 ESTIMATES, DETECTIONS, RUN = "estimates.jsonl", "detections.jsonl", "run.json"
+ESTIMATES_FORMAT = 2  # of each line; 1, which lines did not name, told nothing of relevance
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,16 @@ def load_estimates(path: Path, variants: Iterable[str] | None = None) -> list[Es
     """Read estimates in the order of the file; `variants` keeps those only.
 
     Raises:
-        DataError: If the file is missing or a line breaks the format; the text names file and line.
+        DataError: If the file is missing, of a newer format, or a line breaks it; the text names file and line.
     """
     wanted = None if variants is None else frozenset(variants)
     sets: list[EstimateSet] = []
     for number, values in read_json_lines(path):
         try:
+            if int(values.get("format", 1)) > ESTIMATES_FORMAT:
+                raise DataError(
+                    f"format {values['format']} is newer than {ESTIMATES_FORMAT}; upgrade autolights or run again"
+                )
             if wanted is not None and values["variant"] not in wanted:
                 continue
             stamp_ns = int(values["stamp_ns"])

@@ -19,6 +19,7 @@ from autolights.track.place_book import PlaceBook
 from autolights.track.places import LightPlaces, PlaceConfig
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
 from autolights.track.regions import RegionConfig, region_of_interest
+from autolights.track.relevance import Relevance, RelevanceConfig
 
 __all__ = [
     "Alignment",
@@ -34,6 +35,8 @@ __all__ = [
     "PlaceConfig",
     "ProjectedLights",
     "RegionConfig",
+    "Relevance",
+    "RelevanceConfig",
     "TrackConfig",
     "TrackManager",
     "associate",

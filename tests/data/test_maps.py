@@ -42,10 +42,37 @@ def test_groups_and_intersections_come_back(drive_parts, signals: SignalSet) -> 
     assert lights.groups == ("through", "left", "")
 
 
+def test_lanes_come_back(tmp_path: Path, signals: SignalSet) -> None:
+    line = np.array([[500_000.0, 4_800_000.0], [500_050.0, 4_800_001.0], [500_080.0, 4_800_001.5]])
+    lights = TrafficLightMap(
+        ids=("x", "y"),
+        types=("4", "3"),
+        positions=np.array([[500_090.0, 4_800_000.0, 5.0], [500_090.0, 4_800_003.0, 5.0]]),
+        headings_deg=np.array([270.0, 270.0]),
+        sizes_m=signals.sizes_m(("4", "3")),
+        lanes=(("left", "12"), ()),
+        lane_lines={"left": line},
+    )
+    save_map(tmp_path / "map.geojson", lights, 17, "north")
+    read = load_map(tmp_path / "map.geojson", signals, 17, "north")
+    assert read.lanes == lights.lanes
+    assert read.ids == ("x", "y")
+    np.testing.assert_allclose(read.lane_lines["left"], line, atol=1e-3, rtol=0)
+    assert read.take(np.array([1])).lanes == ((),)
+
+
 def test_an_empty_map_is_a_map(tmp_path: Path, signals: SignalSet) -> None:
     path = tmp_path / "map.geojson"
     path.write_text('{"type": "FeatureCollection", "features": []}')
     assert len(load_map(path, signals, 17, "north")) == 0
+
+
+def _lane(coordinates: Any) -> dict[str, Any]:
+    geometry = {"type": "LineString", "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": {"lane": "left"}}
+
+
+LINE = [[-81.0, 43.0], [-81.0, 43.001]]
 
 
 def _light(**changes: Any) -> dict[str, Any]:
@@ -66,6 +93,10 @@ def _light(**changes: Any) -> dict[str, Any]:
         pytest.param([_light(heading_deg="west")], r"light 'main-1': could not convert.*'west'", id="heading"),
         pytest.param([_light(coordinates=[500_000, 4_800_000])], r"'main-1': longitude and latitude must", id="metres"),
         pytest.param([_light(coordinates=[-81, float("nan")])], r"'main-1': longitude and latitude must", id="nan"),
+        pytest.param([_light(lanes="left")], r"light 'main-1': lanes must be a list of names, got 'left'", id="lanes"),
+        pytest.param([_lane(LINE), _lane(LINE)], r"feature 1: lane 'left' is given twice", id="lane-twice"),
+        pytest.param([_light(), _lane(LINE[:1])], r"feature 1: lane 'left': needs two points or more", id="lane-point"),
+        pytest.param([_lane([["a", "b"], LINE[0]])], r"feature 0: lane 'left': could not convert", id="lane-text"),
         pytest.param([_light(coordinates=[43, -81])], r"124.0° from the middle of UTM zone 17", id="swapped"),
     ],
 )

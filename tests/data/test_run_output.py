@@ -42,12 +42,23 @@ def test_estimates_come_back_variant_by_variant(tmp_path: Path) -> None:
     assert [entry.variant for entry in load_estimates(path, ["od"])] == ["od"]
 
 
+def test_lines_of_format_1_tell_nothing_of_relevance(tmp_path: Path) -> None:
+    path = tmp_path / "estimates.jsonl"
+    old = {k: v for k, v in ESTIMATE.to_json().items() if k not in ("ahead_m", "intersection", "governs")}
+    path.write_text(_line(lights=[old]) + _line(format=2))
+    first, second = (entry.lights[0] for entry in load_estimates(path))
+    assert (first.ahead_m, first.intersection, first.governs) == (None, None, None)
+    assert second.to_json() == first.to_json()
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
         (_line(lights=[{"track_id": 1}]), r"estimates.jsonl:1: light estimate: field .* is missing"),
         (_line(stamp_ns="now"), r"estimates.jsonl:1: .*'now'"),
         ('{"variant": "od"}\n', r"estimates.jsonl:1: field 'stamp_ns' is missing"),
+        (_line(format=3), r"estimates.jsonl:1: format 3 is newer than 2; upgrade autolights or run again"),
+        (_line(format="new"), r"estimates.jsonl:1: invalid literal"),
         ("[]\n", r"estimates.jsonl:1: must be an object, got list"),
     ],
 )

@@ -1,0 +1,223 @@
+"""Which lights matter now: how far ahead, of which intersection, and whether they govern the vehicle's approach.
+
+A light governs the approach if it hangs ahead and the map links it to the lane that the vehicle is on. Where the map
+has no such link, or the vehicle is on none of its lanes, a light governs if it hangs ahead, not too far aside, and its
+face looks against the way the vehicle heads.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from autolights.core import Config, FloatArray, IntArray, LightEstimate, Pose, TrafficLightMap
+
+_PIECE_M = 10.0  # lanes are searched in pieces no longer than this
+_EQUALLY_NEAR_M = 0.5  # where lanes part or cross, the vehicle is on all of them
+_LANE_COSINE = np.cos(np.radians(45.0))  # a lane that leads elsewhere is only crossed
+
+
+class RelevanceConfig(Config):
+    """What belongs together, and what counts as ahead.
+
+    Attributes:
+        cluster_m: Lights within so far of each other belong to one intersection, if the map does not say otherwise.
+        facing_deg: How far a light's face may look past the vehicle's way and still be meant for it.
+        max_aside_m: How far aside of that way it may hang.
+        lane_half_width_m: The vehicle is on a lane if it is no farther from its middle.
+    """
+
+    cluster_m: float = Field(default=25.0, gt=0)
+    facing_deg: float = Field(default=45.0, gt=0, le=90)
+    max_aside_m: float = Field(default=25.0, gt=0)
+    lane_half_width_m: float = Field(default=2.0, gt=0)
+
+
+class Relevance:
+    """Tells of lights what they mean to the vehicle; all that depends on the map alone is computed once.
+
+    Args:
+        lights: The map.
+        config: Limits.
+    """
+
+    def __init__(self, lights: TrafficLightMap, config: RelevanceConfig) -> None:
+        self._config = config
+        self._row_of_id = {light_id: row for row, light_id in enumerate(lights.ids)}
+        self._names, numbers = intersections(lights, config.cluster_m)
+        # The last row, which −1 means, is that of lights that the map does not hold.
+        self._numbers = np.append(numbers, -1)
+        self._faces = np.concatenate([_directions(lights.headings_deg), np.zeros((1, 2))])
+        self._lanes_of = lights.lanes if any(lights.lanes) else None
+        self._lanes = _Lanes(lights, config.lane_half_width_m) if lights.lane_lines and self._lanes_of else None
+        self._tree = cKDTree(lights.positions[:, :2]) if len(lights) else None
+        self._least_facing = float(np.cos(np.radians(config.facing_deg)))
+        self._unmapped: TrafficLightMap | None = None
+        self._of_track: dict[str, tuple[str, float, float]] = {}
+        self._on_lanes: frozenset[str] = frozenset()
+
+    def tell(
+        self,
+        estimates: Sequence[LightEstimate],
+        unmapped: TrafficLightMap,
+        pose: Pose,
+        lanes: Iterable[str] | None = None,
+    ) -> list[LightEstimate]:
+        """Complete estimates by `ahead_m`, `intersection` and `governs`, and order them.
+
+        Args:
+            estimates: Made for this set of frames; they are completed in place.
+            unmapped: Lights that the map does not hold, track ids for names.
+            pose: The vehicle's.
+            lanes: On which it is, if that is known; else the map's lanes are searched.
+
+        Returns:
+            First those of intersections with a light for us, the nearest first; then of other intersections ahead, then
+            of those behind. Within an intersection those that govern come first, else the order given stays.
+        """
+        if not estimates:
+            return []
+        if lanes is None and self._lanes is not None:
+            lanes = self._lanes.under(pose)
+        self._on_lanes = on_lanes = frozenset(lanes or ())
+        if unmapped is not self._unmapped:
+            self._unmapped, self._of_track = unmapped, self._look_up(unmapped)
+
+        x, y = pose.utm_from_ins[:2, 0].tolist()
+        length = math.hypot(x, y) or 1.0
+        x, y = x / length, y / length
+        rows = [-1 if light.map_id is None else self._row_of_id[light.map_id] for light in estimates]
+        turned = np.array([[x, y], [y, -x]])
+        offsets = np.array([light.position for light in estimates])[:, :2] - pose.position[:2]
+        against = (self._faces[rows] @ turned[0]).tolist()
+        numbers = self._numbers[rows].tolist()
+        names, keys = [], []
+        nearest: dict[str, tuple[int, float]] = {}
+        for light, row, (ahead_m, aside_m), facing, number in zip(
+            estimates, rows, (offsets @ turned.T).tolist(), against, numbers, strict=True
+        ):
+            known = True
+            if row >= 0:
+                name = self._names[number]
+            elif (track := self._of_track.get(str(light.track_id))) is not None:
+                name, facing = track[0], track[1] * x + track[2] * y
+            else:
+                name, known = f"near track {light.track_id}", False
+            linked = row >= 0 and on_lanes and self._lanes_of is not None and self._lanes_of[row]
+            if linked:
+                governs = ahead_m > 0 and not on_lanes.isdisjoint(linked)
+            else:
+                governs = ahead_m > 0 and abs(aside_m) <= self._config.max_aside_m and -facing >= self._least_facing
+            vars(light).update(ahead_m=ahead_m, intersection=name, governs=governs if known else None)
+            key = (0 if governs and known else 1 if ahead_m > 0 else 2, abs(ahead_m))
+            nearest[name] = min(key, nearest.get(name, key))
+            names.append(name)
+            keys.append(key[0])
+        order = sorted(range(len(keys)), key=lambda i: (nearest[names[i]], names[i], keys[i]))
+        return [estimates[i] for i in order]
+
+    def explain(self) -> dict[str, Any]:
+        """What the latest estimates were judged by, as JSON-ready values: the lanes that the vehicle is on."""
+        return {"lanes": sorted(self._on_lanes)}
+
+    def _look_up(self, unmapped: TrafficLightMap) -> dict[str, tuple[str, float, float]]:
+        """By track: intersection, and east and north of the way its face looks.
+
+        The intersection is that of the nearest light of the map, or one of unmapped lights alone.
+        """
+        n, limit_m = len(unmapped), self._config.cluster_m
+        places = unmapped.positions[:, :2]
+        names = [""] * n
+        if self._tree is not None and n:
+            distances_m, rows = self._tree.query(places, distance_upper_bound=limit_m)
+            for i in np.flatnonzero(np.isfinite(distances_m)).tolist():
+                names[i] = self._names[self._numbers[rows[i]]]
+        alone = np.array([i for i in range(n) if not names[i]], dtype=np.int64)
+        for number, group in enumerate(_clusters(places[alone], limit_m).tolist()):
+            names[alone[number]] = f"near track {unmapped.ids[alone[group]]}"
+        return {
+            track: (name, *face)
+            for track, name, face in zip(unmapped.ids, names, _directions(unmapped.headings_deg).tolist(), strict=True)
+        }
+
+
+def intersections(lights: TrafficLightMap, cluster_m: float) -> tuple[tuple[str, ...], IntArray]:
+    """The intersections of a map: those that it names, and clusters of lights that it does not assign.
+
+    A light without a name belongs to the named light that is nearest, if that is within `cluster_m`; what is left falls
+    into clusters of lights that are linked by steps of at most `cluster_m`.
+
+    Returns:
+        Names, derived ones are ``near ID`` after the first light of the cluster, and (n,) their numbers for each light.
+    """
+    names = list(dict.fromkeys(name for name in lights.intersections if name))
+    number_of = {name: number for number, name in enumerate(names)}
+    numbers = np.array([number_of.get(name, -1) for name in lights.intersections], dtype=np.int64)
+    places = lights.positions[:, :2]
+    named, open_rows = np.flatnonzero(numbers >= 0), np.flatnonzero(numbers < 0)
+    if len(named) and len(open_rows):
+        distances_m, nearest = cKDTree(places[named]).query(places[open_rows], distance_upper_bound=cluster_m)
+        near = np.isfinite(distances_m)
+        numbers[open_rows[near]] = numbers[named[nearest[near]]]
+        open_rows = open_rows[~near]
+    firsts, labels = np.unique(_clusters(places[open_rows], cluster_m), return_inverse=True)
+    numbers[open_rows] = len(names) + labels
+    names += [f"near {lights.ids[row]}" for row in open_rows[firsts].tolist()]
+    return tuple(names), numbers
+
+
+def _clusters(places: FloatArray, step_m: float) -> IntArray:
+    """(n,) of (n, 2) places: the first row of the cluster of each, linked by steps of at most `step_m`."""
+    n = len(places)
+    if n < 2:
+        return np.arange(n)
+    pairs = cKDTree(places).query_pairs(step_m, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, labels = connected_components(links, directed=False)
+    _, firsts, labels = np.unique(labels, return_index=True, return_inverse=True)
+    return np.asarray(firsts[labels])
+
+
+class _Lanes:
+    """The lanes of a map in pieces, searchable by place."""
+
+    def __init__(self, lights: TrafficLightMap, half_width_m: float) -> None:
+        starts, ends, self._names = [], [], []
+        for name, line in lights.lane_lines.items():
+            for start, end in pairwise(line):
+                count = max(1, int(np.ceil(np.linalg.norm(end - start) / _PIECE_M)))
+                points = start + (end - start) * np.linspace(0, 1, count + 1)[:, None]
+                starts.append(points[:-1])
+                ends.append(points[1:])
+                self._names += [name] * count
+        self._starts = np.concatenate(starts)
+        ways = np.concatenate(ends) - self._starts
+        self._lengths_m = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
+        self._ways = ways / self._lengths_m[:, None]
+        self._tree = cKDTree(self._starts + ways / 2)
+        self._half_width_m = half_width_m
+
+    def under(self, pose: Pose) -> frozenset[str]:
+        """Names of the lanes that the vehicle is on and follows."""
+        place, way = pose.position[:2], pose.utm_from_ins[:2, 0]
+        pieces = np.array(self._tree.query_ball_point(place, self._half_width_m + _PIECE_M / 2), dtype=np.int64)
+        pieces = pieces[self._ways[pieces] @ way >= _LANE_COSINE * np.hypot(way[0], way[1])]
+        if not len(pieces):
+            return frozenset()
+        offsets = place - self._starts[pieces]
+        along_m = np.clip((offsets * self._ways[pieces]).sum(axis=1), 0, self._lengths_m[pieces])
+        aside = offsets - along_m[:, None] * self._ways[pieces]
+        aside_m = np.hypot(aside[:, 0], aside[:, 1])
+        limit_m = min(self._half_width_m, float(aside_m.min()) + _EQUALLY_NEAR_M)
+        return frozenset(self._names[piece] for piece in pieces[aside_m <= limit_m].tolist())
+
+
+def _directions(headings_deg: FloatArray) -> FloatArray:
+    heading = np.radians(headings_deg)
+    return np.stack([np.sin(heading), np.cos(heading)], axis=-1)
