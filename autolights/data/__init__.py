@@ -3,10 +3,11 @@
 from autolights.data.calibrations import load_calibration, save_calibration
 from autolights.data.drives import Drive, FrameRecord, write_drive
 from autolights.data.image_dataset import ImageDataset, load_image_dataset
-from autolights.data.maps import load_map, lon_lat_from_utm, save_map
+from autolights.data.maps import load_map, save_map
 from autolights.data.poses import load_poses, save_poses
 from autolights.data.run_output import DetectedFrame, EstimateSet, load_detections, load_estimates, load_run_info
 from autolights.data.truth import TruthFrame, TruthLight, load_truth, save_truth
+from autolights.data.utm import lon_lat_from_utm
 
 __all__ = [
     "DetectedFrame",

@@ -24,10 +24,11 @@ from autolights.core import (
 from autolights.core.atomic import write_text
 from autolights.core.errors import ConfigError, DataError, MapError, UsageError
 from autolights.data.calibrations import load_calibration, save_calibration
-from autolights.data.maps import Hemisphere, load_map, save_map
+from autolights.data.maps import load_map, save_map
 from autolights.data.poses import load_poses, save_poses
 from autolights.data.tables import read_csv
 from autolights.data.truth import TruthFrame, save_truth
+from autolights.data.utm import Hemisphere
 
 INFO, CALIBRATION, POSES, MAP = "drive.yaml", "calibration.yaml", "poses.csv", "map.geojson"
 FRAMES, TRUTH, IMAGES = "frames.csv", "truth.jsonl", "images"

@@ -5,16 +5,14 @@ face of the light looks. Heights are taken as they are; the drive records their 
 """
 
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
-import pyproj
 
 from autolights.core import FloatArray, SignalSet, TrafficLightMap
 from autolights.core.errors import MapError
 from autolights.core.json_files import read_json_object, write_json
-
-Hemisphere: TypeAlias = Literal["north", "south"]
+from autolights.data.utm import Hemisphere, central_meridian_deg, lon_lat_from_utm, utm_from_lon_lat
 
 # UTM zones are 6° wide; beyond twice their half-width the projection's scale error shows and the zone is a mistake.
 _MAX_OFF_MERIDIAN_DEG = 6.0
@@ -43,8 +41,7 @@ def load_map(path: Path, signals: SignalSet, utm_zone: int, hemisphere: Hemisphe
     lanes = [(i, feature) for i, feature in features if _is_lane(feature)]
     rows = [_read_light(path, i, feature, signals) for i, feature in features if not _is_lane(feature)]
     lon_lat = np.array([row["lon_lat"] for row in rows], dtype=np.float64).reshape(-1, 2)
-    transformer = _utm_from_lon_lat(utm_zone, hemisphere)
-    meridian = 6 * utm_zone - 183
+    meridian = central_meridian_deg(utm_zone)
     off = np.abs((lon_lat[:, 0] - meridian + 180) % 360 - 180)
     if len(off) and off.max() > _MAX_OFF_MERIDIAN_DEG:
         worst = rows[int(off.argmax())]
@@ -52,19 +49,19 @@ def load_map(path: Path, signals: SignalSet, utm_zone: int, hemisphere: Hemisphe
             f"{path}: light '{worst['id']}' at longitude {worst['lon_lat'][0]} lies {off.max():.1f}° from the middle "
             f"of UTM zone {utm_zone} ({meridian}°); is the zone right?"
         )
-    east, north = transformer.transform(lon_lat[:, 0], lon_lat[:, 1], errcheck=True)
+    east_north = utm_from_lon_lat(lon_lat, utm_zone, hemisphere)
     types = tuple(row["type"] for row in rows)
     try:
         return TrafficLightMap(
             ids=tuple(row["id"] for row in rows),
             types=types,
-            positions=np.column_stack([east, north, [row["height_m"] for row in rows]]),
+            positions=np.column_stack([east_north, [row["height_m"] for row in rows]]),
             headings_deg=np.array([row["heading_deg"] for row in rows], dtype=np.float64),
             sizes_m=signals.sizes_m(types),
             intersections=tuple(row["intersection"] for row in rows),
             groups=tuple(row["group"] for row in rows),
             lanes=tuple(row["lanes"] for row in rows),
-            lane_lines=_read_lanes(path, lanes, transformer),
+            lane_lines=_read_lanes(path, lanes, utm_zone, hemisphere),
         )
     except MapError as error:
         raise MapError(f"{path}: {error}") from error
@@ -103,20 +100,6 @@ def save_map(path: Path, lights: TrafficLightMap, utm_zone: int, hemisphere: Hem
     write_json(path, {"type": "FeatureCollection", "features": features})
 
 
-def lon_lat_from_utm(east_north: FloatArray, utm_zone: int, hemisphere: Hemisphere) -> FloatArray:
-    """(n, 2) metres of a zone → (n, 2) degrees of longitude and latitude (WGS 84)."""
-    transformer = _utm_from_lon_lat(utm_zone, hemisphere)
-    lon, lat = transformer.transform(east_north[:, 0], east_north[:, 1], direction="INVERSE", errcheck=True)
-    return np.column_stack([lon, lat])
-
-
-def _utm_from_lon_lat(utm_zone: int, hemisphere: Hemisphere) -> pyproj.Transformer:
-    if not 1 <= utm_zone <= 60:
-        raise MapError(f"UTM zones go from 1 to 60, got {utm_zone}")
-    code = (32600 if hemisphere == "north" else 32700) + utm_zone
-    return pyproj.Transformer.from_crs("EPSG:4326", f"EPSG:{code}", always_xy=True)
-
-
 def _read_features(path: Path) -> list[Any]:
     features = read_json_object(path, error=MapError).get("features")
     if not isinstance(features, list):
@@ -131,7 +114,9 @@ def _is_lane(feature: Any) -> bool:
         return False
 
 
-def _read_lanes(path: Path, features: list[tuple[int, Any]], transformer: pyproj.Transformer) -> dict[str, FloatArray]:
+def _read_lanes(
+    path: Path, features: list[tuple[int, Any]], utm_zone: int, hemisphere: Hemisphere
+) -> dict[str, FloatArray]:
     lines: dict[str, FloatArray] = {}
     for index, feature in features:
         lane = str(feature["properties"]["lane"])
@@ -145,7 +130,7 @@ def _read_lanes(path: Path, features: list[tuple[int, Any]], transformer: pyproj
         # Written so that NaN fails too.
         if lon_lat.ndim != 2 or len(lon_lat) < 2 or not (np.abs(lon_lat) <= (180.0, 90.0)).all():
             raise MapError(f"{where}: needs two points or more of longitude and latitude, got {lon_lat.tolist()}")
-        lines[lane] = np.column_stack(transformer.transform(lon_lat[:, 0], lon_lat[:, 1], errcheck=True))
+        lines[lane] = utm_from_lon_lat(lon_lat, utm_zone, hemisphere)
     return lines
 
 
