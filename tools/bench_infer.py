@@ -7,7 +7,7 @@ the same weights, or random ones, with 80 classes like the public ones; other mo
 description beside them, and are compared with any row above:
 
     python tools/bench_infer.py --peer-python /opt/peer/bin/python --weights-n yolov5n.pt --threads 2
-    python tools/bench_infer.py --model "float s=s.onnx" --model "int8 s=s_int8.onnx@float s"
+    python tools/bench_infer.py --sizes --openvino --model "float s=s.onnx" --model "int8 s=s_int8.onnx@float s"
 """
 
 import argparse
@@ -209,6 +209,9 @@ def our_rows(arguments: argparse.Namespace, folder: Path) -> list[Row]:
                 f"error: --model must be LABEL=FILE.onnx or LABEL=FILE.onnx@ROW with a row of the table, got {text!r}"
             )
         rows.append(Row(label, Path(path), against or label, execution=plain))
+        if arguments.openvino:
+            execution = Execution(backend="openvino", threads=threads)
+            rows.append(Row(f"{label} OpenVINO", Path(path), against or label, execution=execution))
     return rows
 
 
@@ -289,7 +292,7 @@ def main() -> None:
     """Parse, start all sides, let them take turns, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peer-python", type=Path, help="interpreter that has PyPI's yolov5 7.0.14, onnx, onnxruntime")
-    parser.add_argument("--sizes", nargs="+", choices=("n", "s"), default=["n", "s"])
+    parser.add_argument("--sizes", nargs="*", choices=("n", "s"), default=["n", "s"], help="ours; empty: --model alone")
     for size in ("n", "s"):
         parser.add_argument(f"--weights-{size}", default="-", help="a public .pt of 80 classes for both sides")
     parser.add_argument(
@@ -314,6 +317,8 @@ def main() -> None:
         if exporting.exitcode:
             sys.exit("error: our models could not be exported")
         rows = our_rows(arguments, folder)
+        if not rows:
+            sys.exit("error: nothing to time; give --sizes or --model")
         askers = {row.label: start_ours(row, image_path, stack) for row in rows}
         if arguments.peer_python:
             for size, path in weights.items():
