@@ -24,7 +24,8 @@ The way through, each step a verb:
   fit-hmm           confusion matrix → hmm.json          bundle            ONNX + HMMs → one verified folder
   run               bundle + drive → estimates.jsonl     detect            bundle + images or video → boxes
   evaluate          estimates + truth → tables           report            everything → one HTML page
-  tune              bundle → its fastest way here          demo              all of it, in order
+  tune              bundle → its fastest way here          map-audit         runs → what is wrong in the map
+  demo              all of it, in order
 
 Results go to stdout (--json for machines), progress and messages to stderr.
 Exit code 0: done; 1: failed; 2: misused.
@@ -69,6 +70,7 @@ _VERBS: dict[str, Callable[..., None]] = {
     "run": runtime.run,
     "detect": runtime.detect,
     "tune": runtime.tune,
+    "map-audit": proof.map_audit,
     "evaluate": proof.evaluate,
     "report": proof.report,
     "demo": proof.demo,

@@ -1,4 +1,4 @@
-"""The verbs that prove: evaluate, report, demo."""
+"""The verbs that prove: map-audit, evaluate, report, demo."""
 
 import json
 from pathlib import Path
@@ -38,6 +38,50 @@ def evaluate(
     evaluation = score(_pairs(runs, drive), load_signals(signals))
     evaluation.save(out)
     typer.echo(json.dumps(evaluation.to_json()) if as_json else table(evaluation))
+
+
+def map_audit(
+    runs: _Runs,
+    drive: _Drives = None,
+    signals: Signals = "signals/autolights_13",
+    limits: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A limit, e.g. moved_m=0.8; repeatable.")
+    ] = None,
+    correct: Annotated[
+        list[str] | None,
+        typer.Option(help="missing, extra, moved or type: which findings the corrected map takes up; by default all."),
+    ] = None,
+    corrected: Annotated[
+        Path | None,
+        typer.Option(help="The corrected map, instead of map.geojson in --out; the map itself needs --force."),
+    ] = None,
+    out: Out = Path("runs/map_audit"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Hold the map of one or several drives against what their runs saw; write a corrected one.
+
+    Lists lights that are missing, extra, moved or of another type, with the images that say so. Writes audit.json,
+    audit.html and map.geojson into --out. The runs are of variant full.
+
+    \b
+    Example: autolights map-audit runs/demo/estimates/* --out runs/map_audit
+             autolights map-audit runs/monday runs/tuesday --correct missing --correct moved
+    """
+    from autolights.core import load_signals
+    from autolights.core.config import parse_config
+    from autolights.map_audit import KINDS, MapAuditConfig, audit_map, table
+
+    audit = audit_map(
+        _pairs(runs, drive),
+        load_signals(signals),
+        out,
+        parse_config({}, MapAuditConfig, limits or (), source="--set"),
+        corrected=corrected,
+        kinds=correct or KINDS,
+        force=force,
+    )
+    typer.echo(json.dumps(audit.to_json()) if as_json else f"{table(audit)}\n{out}")
 
 
 def report(

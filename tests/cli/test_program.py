@@ -14,7 +14,7 @@ from autolights.cli import app as program_module
 Program = Callable[..., subprocess.CompletedProcess[str]]
 VERBS = (
     *("simulate", "train", "val", "info", "export", "fit-hmm"),
-    *("bundle", "run", "detect", "tune", "evaluate", "report", "demo"),
+    *("bundle", "run", "detect", "tune", "map-audit", "evaluate", "report", "demo"),
 )
 
 
