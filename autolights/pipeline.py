@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol, Self, cast
 
-import numpy as np
 from pydantic import Field
 
 from autolights.core import (
@@ -33,29 +32,21 @@ from autolights.core.errors import DataError, MapError, PoseError, UsageError
 from autolights.core.estimates import Variant
 from autolights.infer import Detector, Region
 from autolights.track import (
-    Alignment,
     AlignmentConfig,
-    CameraAlignment,
     CameraHealth,
-    CameraObservation,
+    MatchConfig,
     MemorylessLights,
+    Observer,
     PlaceBook,
     PlaceConfig,
-    ProjectedLights,
     RegionConfig,
     Relevance,
     RelevanceConfig,
+    SetObservation,
     TrackConfig,
     TrackManager,
-    associate,
-    association_cost,
     explain_observation,
-    join_projected,
-    localize_boxes,
-    may_be_new,
-    project_lights,
     region_of_interest,
-    type_fits,
 )
 
 NO_POSE, LATE = "no pose", "earlier than the set before"
@@ -182,18 +173,16 @@ class LightPipeline:
         self._cameras = dict(cameras)
         self._lights = lights
         self._poses = PoseBuffer(history_s=_POSE_HISTORY_S) if poses is None else poses
-        self._alignments = self._new_alignments()
+        self._observer = Observer(lights, signals, cameras, self._match_config(), self.config.alignment)
         places = self.config.places
         self._places = PlaceBook(lights, self._cameras, places) if places else None
         relevance = self.config.relevance
         self._relevance = Relevance(lights, relevance) if relevance else None
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
         self._memoryless = MemorylessLights(lights, signals)
-        self._class_types = np.array([signals.type_of[name] for name in signals.classes])
-        self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
         self._last_set_ns: int | None = None
         self._detected_sets = 0
-        self._behind: tuple[list[CameraObservation], tuple[str, ...]] = ([], ())
+        self._behind: tuple[SetObservation, TrafficLightMap] | None = None
 
     @classmethod
     def from_bundle(
@@ -262,23 +251,21 @@ class LightPipeline:
         self._last_set_ns = set_ns
         if self.config.variant == "od":
             return [light for view in views for light in self._memoryless.detected(*view, set_ns)]
-        observations = [self._observe(*view) for view in views]
-        self._behind = (observations, (*self._lights.ids, *(f"track {i}" for i in self._tracks.unmapped.ids)))
+        unmapped = self._tracks.unmapped
+        observations = self._observer.observe(views, unmapped)
+        self._behind = observations, unmapped
         if self.config.variant == "fusion":
             return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]
-        pose = observations[-1].pose
-        if self._places is None:
-            lights = self._tracks.update(observations, set_ns)
-        else:
-            self._places.take_in(observations, self._tracks.unmapped, set_ns)
-            lights = self._placed(self._tracks.update(observations, set_ns), pose)
-        return (
-            lights if self._relevance is None else self._relevance.tell(lights, self._tracks.unmapped, pose, self.lanes)
-        )
+        if self._places is not None:
+            self._places.take_in(observations, unmapped, set_ns)
+        estimates = self._tracks.update(observations, set_ns, self._places)
+        if self._relevance is None:
+            return estimates
+        return self._relevance.tell(estimates, self._tracks.unmapped, observations.shots.poses[-1], self.lanes)
 
     def health(self) -> dict[str, CameraHealth]:
         """What each camera's images say of its calibration; empty without `alignment`."""
-        return {name: alignment.health() for name, alignment in self._alignments.items()}
+        return self._observer.health()
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered but poses, as JSON-ready values; `restore` goes on from there with equal estimates."""
@@ -287,7 +274,7 @@ class LightPipeline:
             "detected_sets": self._detected_sets,
             "tracks": self._tracks.to_json(),
             "places": None if self._places is None else self._places.to_json(),
-            "alignments": {name: alignment.to_json() for name, alignment in self._alignments.items()},
+            "alignments": self._observer.to_json(),
         }
 
     def restore(self, values: dict[str, Any]) -> None:
@@ -298,22 +285,21 @@ class LightPipeline:
         """
         try:
             self._tracks.restore(values["tracks"])
-            if (self._places is None) != (values["places"] is None) or set(values["alignments"]) != set(
-                self._alignments
-            ):
-                raise DataError("pipeline state: was saved with other settings of places, alignment or cameras")
+            if (self._places is None) != (values["places"] is None):
+                raise DataError("pipeline state: was saved with other settings of places")
             if self._places is not None:
                 self._places.restore(values["places"])
-            for name, alignment in self._alignments.items():
-                alignment.restore(values["alignments"][name])
+            self._observer.restore(values["alignments"])
             self._last_set_ns, self._detected_sets = values["last_set_ns"], int(values["detected_sets"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"pipeline state: damaged ({type(error).__name__}: {error}); start without it") from error
 
     def explain(self) -> dict[str, Any]:
         """What was behind the latest estimates, as JSON-ready values: boxes, costs, pairs, beliefs and lanes."""
-        observations, light_names = self._behind
-        images = [explain_observation(observation, light_names, self._signals) for observation in observations]
+        images = []
+        if self._behind is not None:
+            observations, unmapped = self._behind
+            images = [explain_observation(one, self._lights, unmapped, self._signals) for one in observations]
         relevance = None if self._relevance is None else self._relevance.explain()
         return {"images": images, "tracks": self._tracks.explain(), "relevance": relevance}
 
@@ -346,7 +332,8 @@ class LightPipeline:
                 self._skip(NO_POSE, 1, f"camera '{frame.camera}': {error}")
                 continue
             # A box without area has no size to be placed by.
-            yield self._cameras[frame.camera], pose, found[area(found.boxes_xyxy) > 0]
+            sides = found.boxes_xyxy[:, 2:] - found.boxes_xyxy[:, :2]
+            yield self._cameras[frame.camera], pose, found if (sides > 0).all() else found[area(found.boxes_xyxy) > 0]
 
     def _begin_anew(self) -> None:
         """The clock was set back: states and shifts belong to another time, places and track ids do not."""
@@ -354,11 +341,10 @@ class LightPipeline:
         self._tracks = TrackManager(
             self._lights, self._signals, self._hmm, self.config.track, last_id=self._tracks.last_id
         )
-        self._alignments = self._new_alignments()
+        self._observer.begin_anew()
 
-    def _new_alignments(self) -> dict[str, CameraAlignment]:
-        alignment = self.config.alignment
-        return {name: CameraAlignment(camera, alignment) for name, camera in self._cameras.items()} if alignment else {}
+    def _match_config(self) -> MatchConfig:
+        return MatchConfig(**{name: getattr(self.config, name) for name in MatchConfig._fields})
 
     def _skip(self, reason: str, count: int, text: str) -> None:
         self.skipped[reason] += count
@@ -374,76 +360,5 @@ class LightPipeline:
         except PoseError:
             return None
         camera = self._cameras[frame.camera]
-        boxes_xyxy = self._projected(camera, pose).boxes_xyxy
+        boxes_xyxy = self._observer.project(camera, pose, self._tracks.unmapped).boxes_xyxy
         return region_of_interest(config, boxes_xyxy, (frame.image_bgr.shape[1], frame.image_bgr.shape[0]))
-
-    def _projected(self, camera: CameraModel, pose: Pose) -> ProjectedLights:
-        """The lights of the map and of unmapped tracks; rows of the latter follow those of the former."""
-        projected = project_lights(self._lights, camera, pose)
-        if len(self._tracks.unmapped):
-            unmapped = project_lights(self._tracks.unmapped, camera, pose)
-            projected = join_projected(projected, unmapped, row_offset=len(self._lights))
-        return projected
-
-    def _observe(self, camera: CameraModel, pose: Pose, detections: Detections) -> CameraObservation:
-        """Hold one image against the known lights."""
-        config = self.config
-        detections = detections[detections.scores >= config.fusion_score_threshold]
-        projected = self._projected(camera, pose)
-        alignment = self._align(camera, pose, projected, detections)
-        gates_px = None
-        if alignment is not None and config.alignment is not None:
-            projected = projected.shifted(alignment.shifts_px)
-            gates_px = config.alignment.gate * alignment.sigmas_px
-        cost = association_cost(
-            projected,
-            detections,
-            self._class_types,
-            max_distance_px=config.max_distance_px,
-            max_distance_heights=config.max_distance_heights,
-            gates_px=gates_px,
-        )
-        association = associate(cost, unmatched_cost=config.max_distance_px)
-
-        lights, matched = association.matches[:, 0], association.matches[:, 1]
-        on_map = np.zeros(len(detections), dtype=bool)
-        on_map[matched[projected.indices[lights] < len(self._lights)]] = True
-        positions = np.full((len(detections), 3), np.nan)
-        if not on_map.all():
-            sizes_m = self._class_sizes_m[detections.class_ids[~on_map]]
-            boxes_xyxy = detections.boxes_xyxy[~on_map]
-            if alignment is not None:
-                boxes_xyxy = alignment.as_calibrated(boxes_xyxy, sizes_m[:, 1])
-            positions[~on_map] = localize_boxes(boxes_xyxy, sizes_m, camera, pose)
-        left = association.unmatched_detections
-        left = left[detections.scores[left] >= config.new_light_score_threshold]
-        new = may_be_new(
-            detections.boxes_xyxy[left],
-            positions[left],
-            projected,
-            camera,
-            pose,
-            misread_distance_heights=config.misread_distance_heights,
-        )
-        return CameraObservation(camera, pose, detections, projected, cost, association, positions, left[new])
-
-    def _placed(self, lights: Sequence[LightEstimate], pose: Pose) -> list[LightEstimate]:
-        """The estimates with the places that the images have refined."""
-        assert self._places is not None
-        placed = []
-        for light in lights:
-            place = self._places.place(light.map_id, light.track_id)
-            placed.append(light if place is None else light.at(*place, vehicle=pose.position))
-        return placed
-
-    def _align(
-        self, camera: CameraModel, pose: Pose, projected: ProjectedLights, detections: Detections
-    ) -> Alignment | None:
-        """The common error of an image; only lights of the map speak for it, the others were placed by it."""
-        if camera.name not in self._alignments:
-            return None
-        fits = type_fits(projected, detections, self._class_types)
-        fits[projected.indices >= len(self._lights)] = False
-        return self._alignments[camera.name].align(
-            projected.boxes_xyxy, projected.distances_m, detections.boxes_xyxy, fits, pose.stamp_ns
-        )

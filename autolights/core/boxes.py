@@ -16,6 +16,16 @@ def cxcywh_from_xyxy(boxes_xyxy: FloatArray) -> FloatArray:
     return np.concatenate([(lows + highs) / 2, highs - lows], axis=-1)
 
 
+def cxcywh_columns(boxes_xyxy: FloatArray) -> FloatArray:
+    """(n, 4) left, top, right, bottom → (4, n) centre x, centre y, width, height: points last, for quick arithmetic."""
+    lows, highs = boxes_xyxy.T[:2], boxes_xyxy.T[2:]
+    columns = np.empty((4, len(boxes_xyxy)))
+    np.add(lows, highs, out=columns[:2])
+    columns[:2] /= 2
+    np.subtract(highs, lows, out=columns[2:])
+    return columns
+
+
 def xyxy_from_cxcywh(boxes_cxcywh: FloatArray) -> FloatArray:
     """(n, 4) centre x, centre y, width, height → (n, 4) left, top, right, bottom."""
     centres, halves = boxes_cxcywh[..., :2], boxes_cxcywh[..., 2:] / 2

@@ -1,6 +1,8 @@
 """What a detector says about one image."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -44,12 +46,21 @@ class Detections:
         """No detection, for `class_count` classes."""
         return cls(np.empty((0, 4)), np.empty(0), np.empty((0, class_count)))
 
-    @property
+    @classmethod
+    def joined(cls, parts: Sequence["Detections"]) -> Self:
+        """The detections of several images, one after the other; at least one image."""
+        return cls._of_checked(
+            np.concatenate([part.boxes_xyxy for part in parts]),
+            np.concatenate([part.objectness for part in parts]),
+            np.concatenate([part.class_probs for part in parts]),
+        )
+
+    @cached_property
     def scores(self) -> FloatArray:
         """(n,) objectness times the largest class probability."""
         return np.asarray(self.objectness * self.class_probs.max(axis=1, initial=0.0))
 
-    @property
+    @cached_property
     def class_ids(self) -> IntArray:
         """(n,) index of the most probable class."""
         return np.argmax(self.class_probs, axis=1) if len(self) else np.empty(0, dtype=np.int64)
@@ -58,4 +69,11 @@ class Detections:
         return len(self.boxes_xyxy)
 
     def __getitem__(self, index: IntArray | BoolArray | slice) -> Self:
-        return type(self)(self.boxes_xyxy[index], self.objectness[index], self.class_probs[index])
+        return self._of_checked(self.boxes_xyxy[index], self.objectness[index], self.class_probs[index])
+
+    @classmethod
+    def _of_checked(cls, boxes_xyxy: FloatArray, objectness: FloatArray, class_probs: FloatArray) -> Self:
+        """Rows of detections that were checked when they were made."""
+        rows = object.__new__(cls)
+        rows.__dict__.update(boxes_xyxy=boxes_xyxy, objectness=objectness, class_probs=class_probs)
+        return rows

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
 from autolights.core.arrays import FloatArray, as_float_array
 from autolights.core.errors import DataError
@@ -12,8 +12,7 @@ Variant: TypeAlias = Literal["od", "fusion", "full"]
 VARIANTS: tuple[Variant, ...] = ("od", "fusion", "full")
 
 
-@dataclass(frozen=True)
-class CameraView:
+class CameraView(NamedTuple):
     """Where one camera saw a light in this set of frames.
 
     Attributes:

@@ -11,7 +11,7 @@ from autolights.core.pose import Pose
 from autolights.core.transforms import invert_rigid, transform_points
 
 # Detectors do see beyond a camera's nominal range. A light out there may be seen, but is not expected.
-_RANGE_MARGIN = 2.0
+RANGE_MARGIN = 2.0
 
 # Signs of (across, along the way the face looks, up) of the eight corners.
 _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
@@ -70,7 +70,7 @@ def project_visible(lights: TrafficLightMap, camera: CameraModel, pose: Pose) ->
     Returns:
         (n,) ascending rows of the map and (n, 4) boxes, xyxy pixels, edge coordinates; they may leave the image.
     """
-    near = lights.within(pose.position, _RANGE_MARGIN * camera.max_range_m)
+    near = lights.within(pose.position, RANGE_MARGIN * camera.max_range_m)
     corners, faces = _housings(lights)
     to_vehicle = (pose.position - lights.positions[near])[:, :2]
     near = near[(faces[near] * to_vehicle).sum(axis=1) > 0]

@@ -113,12 +113,18 @@ class PoseBuffer:
                 f"no pose at stamp {stamp_ns}: the poses around it are {gap_ns / 1e9:.3f} s apart "
                 f"(allowed: {self._max_gap_ns / 1e9:.3f} s)"
             )
-        fraction = (stamp_ns - before.stamp_ns) / gap_ns
-        return Pose(
-            stamp_ns,
-            before.position + fraction * (after.position - before.position),
-            slerp(before.quaternion_xyzw, after.quaternion_xyzw, fraction),
-        )
+        return _between(before, after, stamp_ns)
+
+
+def _between(before: Pose, after: Pose, stamp_ns: int) -> Pose:
+    """Two poses are checked already, and what lies between them needs no check."""
+    fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    position = before.position + fraction * (after.position - before.position)
+    quaternion = slerp(before.quaternion_xyzw, after.quaternion_xyzw, fraction)
+    position.flags.writeable = quaternion.flags.writeable = False
+    pose = object.__new__(Pose)
+    pose.__dict__.update(stamp_ns=stamp_ns, position=position, quaternion_xyzw=quaternion)
+    return pose
 
 
 def _stamp(pose: Pose) -> int:

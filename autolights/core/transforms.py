@@ -1,5 +1,7 @@
 """Rigid transforms and rotations. `b_from_a` maps points of frame a to frame b; quaternions are x, y, z, w."""
 
+import math
+
 import numpy as np
 
 from autolights.core.arrays import FloatArray
@@ -39,7 +41,9 @@ def transform_points(b_from_a: FloatArray, points_a: FloatArray) -> FloatArray:
 
 def matrix_from_quaternion(quaternion_xyzw: FloatArray) -> FloatArray:
     """(3, 3) rotation of a (4,) quaternion of any length but zero."""
-    x, y, z, w = quaternion_xyzw / np.linalg.norm(quaternion_xyzw)
+    x, y, z, w = quaternion_xyzw.tolist()
+    length = math.hypot(x, y, z, w)
+    x, y, z, w = x / length, y / length, z / length, w / length
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -69,9 +73,10 @@ def slerp(start_xyzw: FloatArray, end_xyzw: FloatArray, fraction: float) -> Floa
     if cosine > 0.9995:  # nearly parallel: the sines vanish, the chord is the arc
         mixed = start_xyzw + fraction * (end_xyzw - start_xyzw)
     else:
-        angle = np.arccos(cosine)
-        mixed = (np.sin((1 - fraction) * angle) * start_xyzw + np.sin(fraction * angle) * end_xyzw) / np.sin(angle)
-    return np.asarray(mixed / np.linalg.norm(mixed))
+        angle = math.acos(cosine)
+        ahead, behind = math.sin((1 - fraction) * angle), math.sin(fraction * angle)
+        mixed = (ahead * start_xyzw + behind * end_xyzw) / math.sin(angle)
+    return np.asarray(mixed / math.sqrt(float(mixed @ mixed)))
 
 
 # Camera axes (right, down, forward) of a camera that looks along the vehicle's x axis (forward, left, up).

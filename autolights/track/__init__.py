@@ -3,8 +3,8 @@
 from autolights.track.alignment import (
     Alignment,
     AlignmentConfig,
-    CameraAlignment,
     CameraHealth,
+    RigAlignment,
 )
 from autolights.track.association import Association, associate, association_cost, type_fits
 from autolights.track.config import TrackConfig
@@ -13,8 +13,8 @@ from autolights.track.hmm_filter import hmm_predict, hmm_update, transition_over
 from autolights.track.localization import localization_information, localize, localize_boxes
 from autolights.track.manager import TrackManager
 from autolights.track.memoryless import MemorylessLights
-from autolights.track.new_lights import may_be_new
-from autolights.track.observation import CameraObservation, explain_observation
+from autolights.track.observation import CameraObservation, SetObservation, explain_observation
+from autolights.track.observer import MatchConfig, Observer
 from autolights.track.place_book import PlaceBook
 from autolights.track.places import LightPlaces, PlaceConfig
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
@@ -25,18 +25,21 @@ __all__ = [
     "Alignment",
     "AlignmentConfig",
     "Association",
-    "CameraAlignment",
     "CameraHealth",
     "CameraObservation",
     "FlashVerdict",
     "LightPlaces",
+    "MatchConfig",
     "MemorylessLights",
+    "Observer",
     "PlaceBook",
     "PlaceConfig",
     "ProjectedLights",
     "RegionConfig",
     "Relevance",
     "RelevanceConfig",
+    "RigAlignment",
+    "SetObservation",
     "TrackConfig",
     "TrackManager",
     "associate",
@@ -49,7 +52,6 @@ __all__ = [
     "localization_information",
     "localize",
     "localize_boxes",
-    "may_be_new",
     "project_lights",
     "region_of_interest",
     "transition_over",

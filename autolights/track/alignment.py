@@ -2,28 +2,27 @@
 
 A mounting error of 1° shifts every projected light by as much as neighbouring heads are apart, and pairing each light
 with what is nearest then moves a whole row by one. Shifted rightly all lights fit at once; by one place the last of
-the row finds nobody. So each pair of a light and a detection proposes an error (two angles, and two metres sideways and
-down, whose effect fades with distance), all others vote on it, and what the images before have shown votes too.
+the row finds nobody. So each pair of a light and a detection proposes an error, all others vote on it, and what the
+images before have shown votes too (`alignment_vote`).
+
+Once the error is known well enough, the vote can have one outcome only: no error that it would consider makes another
+detection a light's own. Then the pairs are taken as they are, for all images at once.
 
 References:
     Beyond Wu et al. 2023, who associate by the distances as projected.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from autolights.core import BoolArray, CameraModel, Config, FloatArray
-from autolights.core.boxes import cxcywh_from_xyxy
-from autolights.core.camera import normalized_points
-
-_GAIN = 4.5  # a pair within three standard deviations speaks for a rotation, most if it fits exactly
-_MAX_HEIGHT_RATIO = 1.6  # of a pair's boxes; half-hidden heads are left out of the vote
-_MAX_PROPOSALS = 48  # those nearest to what was expected
-_SEARCH_SIGMAS = 3.5
-_AMBIGUOUS = 1.0  # two rotations whose votes differ by less are both possible
+from autolights.core import BoolArray, CameraModel, Config, FloatArray, IntArray
+from autolights.core.shots import Shots
+from autolights.track.alignment_vote import AMBIGUOUS_SIGMAS, MATCH_SIGMAS, MAX_HEIGHT_RATIO, SEARCH_SIGMAS, vote
+from autolights.track.camera_errors import ErrorEffect
 
 
 class AlignmentConfig(Config):
@@ -52,27 +51,35 @@ class AlignmentConfig(Config):
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where the lights of one image lie with the error taken off.
+    """Where the lights of s images lie with the error taken off.
 
     Attributes:
-        camera: The camera.
-        error: (4,) yaw and pitch in radians, metres right and down, of the world as the camera sees it.
-        shifts_px: (n, 2) to be added to the projected boxes.
+        shots: The images.
+        errors: (s, 4) yaw and pitch in radians, metres right and down, of the world as the camera sees it.
+        shifts_px: (2, n) to be added to the projected boxes.
         sigmas_px: (n,) what is left to err, per axis, of a light's centre against its detection's.
-        pairs: How many pairs agree on it.
+        pairs: (s,) how many pairs agree on it.
     """
 
-    camera: CameraModel
-    error: FloatArray
+    shots: Shots
+    errors: FloatArray
     shifts_px: FloatArray
     sigmas_px: FloatArray
-    pairs: int
+    pairs: IntArray
 
-    def as_calibrated(self, boxes_xyxy: FloatArray, heights_m: FloatArray) -> FloatArray:
-        """(n, 4) detected boxes where calibration and pose would have them; (n,) heights of the housings in metres."""
-        boxes_px = cxcywh_from_xyxy(boxes_xyxy)
-        distances_m = self.camera.intrinsics[1, 1] * heights_m / np.maximum(boxes_px[:, 3], 1.0)
-        return boxes_xyxy - np.tile(error_jacobians(boxes_px[:, :2], distances_m, self.camera) @ self.error, 2)
+    def shifts_of_seen(self, seen: FloatArray, heights_m: FloatArray, images: IntArray) -> FloatArray:
+        """By how much detections are beside where calibration and pose would have them.
+
+        Args:
+            seen: (4, m) centres, widths and heights of boxes, pixels.
+            heights_m: (m,) of the housings, from which their distances follow.
+            images: (m,) which image each lies in.
+
+        Returns:
+            (2, m) pixels.
+        """
+        distances_m = self.shots.optics.focal_px[1, images] * heights_m / np.maximum(seen[3], 1.0)
+        return ErrorEffect.of(seen[:2], distances_m, self.shots, images).shifts_px(self.errors)
 
 
 @dataclass(frozen=True)
@@ -92,175 +99,220 @@ class CameraHealth:
     alarm: bool
 
 
-class CameraAlignment:
-    """The error of one camera over time: a Kalman filter whose measurement is the vote of an image.
+class RigAlignment:
+    """The error of each camera over time: Kalman filters whose measurements are the votes of the images.
 
     Args:
-        camera: The camera.
+        cameras: The cameras, by name.
         config: Standard deviations.
     """
 
-    def __init__(self, camera: CameraModel, config: AlignmentConfig) -> None:
-        self._camera = camera
+    def __init__(self, cameras: Mapping[str, CameraModel], config: AlignmentConfig) -> None:
         self._config = config
+        self._names = tuple(cameras)
+        self._row_of = {name: row for row, name in enumerate(self._names)}
         angle, drift_angle = np.radians(config.rotation_deg), np.radians(config.drift_deg)
         self._start = np.array([angle, angle, config.position_m, config.position_m]) ** 2
         self._drift = np.array([drift_angle, drift_angle, config.drift_m, config.drift_m]) ** 2
-        self._error: FloatArray = np.zeros(4)
-        self._covariance: FloatArray = np.diag(self._start)
-        self._stamp_ns: int | None = None
+        self._errors: FloatArray = np.zeros((len(cameras), 4))
+        self._covariances: FloatArray = np.tile(np.diag(self._start), (len(cameras), 1, 1))
+        self._stamps_ns: list[int | None] = [None] * len(cameras)
 
-    def health(self) -> CameraHealth:
-        """What has been found so far."""
-        yaw, pitch = np.degrees(self._error[:2]).tolist()
-        sigma_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(self._covariance[:2, :2])[-1])))
-        surely_deg = float(np.hypot(yaw, pitch)) - 2 * sigma_deg
-        return CameraHealth(yaw, pitch, sigma_deg, alarm=surely_deg > self._config.alarm_deg)
+    def health(self) -> dict[str, CameraHealth]:
+        """What has been found so far, by camera."""
+        return {name: self._health(row) for row, name in enumerate(self._names)}
 
     def align(
         self,
-        projected_xyxy: FloatArray,
+        shots: Shots,
+        known: FloatArray,
         distances_m: FloatArray,
-        detected_xyxy: FloatArray,
+        known_in: IntArray,
+        seen: FloatArray,
         fits: BoolArray,
-        stamp_ns: int,
     ) -> Alignment:
-        """Take in one image.
+        """Take in one set of images.
 
         Args:
-            projected_xyxy: (n, 4) boxes of known lights, as calibration and pose have them.
+            shots: The images.
+            known: (4, n) centres, widths and heights of known lights, as calibration and pose have them, pixels.
             distances_m: (n,) of these lights.
-            detected_xyxy: (m, 4) boxes.
-            fits: (n, m) whether light and detection can be the same by their types.
-            stamp_ns: Of the image; an earlier one than before is aligned, but teaches nothing.
+            known_in: (n,) which image each lies in, ascending.
+            seen: (4, m) the same of detections.
+            fits: (n, m) whether light and detection may be the same and may vote: of one image, and of one type.
+
+        Returns:
+            The error found. An image with an earlier stamp than one before is aligned, but teaches nothing.
         """
         config = self._config
-        known, seen = cxcywh_from_xyxy(projected_xyxy), cxcywh_from_xyxy(detected_xyxy)
-        sigmas_px = np.hypot(config.box_px, self._camera.intrinsics[1, 1] * config.map_m / np.maximum(distances_m, 1.0))
-        jacobians = error_jacobians(known[:, :2], distances_m, self._camera)
-        error, covariance, pairs = self._error, self._predicted(stamp_ns), 0
-        if len(known) and len(seen):
-            like = fits & _alike(known[:, 3], seen[:, 3])
-            offsets = seen[None, :, :2] - (known[:, :2] + jacobians @ error)[:, None, :]
-            change, covariance, pairs, sure = _vote(offsets, like, jacobians, sigmas_px, covariance)
-            error = error + change
-            if sure and (self._stamp_ns is None or stamp_ns >= self._stamp_ns):
-                self._error, self._covariance, self._stamp_ns = error, covariance, stamp_ns
-        left = np.einsum("nij,jk,nik->n", jacobians, covariance, jacobians) / 2  # mean over the two axes
-        return Alignment(self._camera, error, jacobians @ error, np.sqrt(sigmas_px**2 + left), pairs)
+        cameras = np.array([self._row_of[camera.name] for camera in shots.optics.cameras])
+        errors, covariances = self._errors[cameras], self._predicted(cameras, shots)
+        effect = ErrorEffect.of(known[:2], distances_m, shots, known_in)
+        sigmas_px = np.hypot(config.box_px, config.map_m * effect.focal_px[1] * effect.nearness)
+        pairs: IntArray = np.zeros(len(shots), dtype=np.int64)
+        gram = effect.gram()
+        if fits.any():
+            problem = _Pairs(effect, gram, known, seen, fits, sigmas_px, effect.shifts_px(errors))
+            changes, covariances, pairs, sure = problem.solve(covariances)
+            errors = errors + changes
+            self._learn(cameras[sure], shots, np.flatnonzero(sure), errors, covariances)
+        left_px2 = _trace(gram, effect.turn_covariances(covariances)) / 2  # mean over the two axes
+        return Alignment(shots, errors, effect.shifts_px(errors), np.sqrt(sigmas_px**2 + left_px2), pairs)
 
     def to_json(self) -> dict[str, Any]:
-        """All that is remembered, as JSON-ready values."""
-        return {"error": self._error.tolist(), "covariance": self._covariance.tolist(), "stamp_ns": self._stamp_ns}
+        """All that is remembered, by camera, as JSON-ready values."""
+        return {
+            name: {"error": error, "covariance": covariance, "stamp_ns": stamp_ns}
+            for name, error, covariance, stamp_ns in zip(
+                self._names, self._errors.tolist(), self._covariances.tolist(), self._stamps_ns, strict=True
+            )
+        }
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Go on from where `to_json` left off."""
-        self._error = np.array(values["error"], dtype=np.float64).reshape(4)
-        self._covariance = np.array(values["covariance"], dtype=np.float64).reshape(4, 4)
-        self._stamp_ns = values["stamp_ns"]
+        """Go on from where `to_json` left off, with the same cameras."""
+        saved = [values[name] for name in self._names]
+        self._errors = np.array([one["error"] for one in saved], dtype=np.float64).reshape(-1, 4)
+        self._covariances = np.array([one["covariance"] for one in saved], dtype=np.float64).reshape(-1, 4, 4)
+        self._stamps_ns = [one["stamp_ns"] for one in saved]
 
-    def _predicted(self, stamp_ns: int) -> FloatArray:
-        """Covariance before the image, never wider than at the start."""
-        if self._stamp_ns is None:
-            return self._covariance
-        elapsed_s = max(stamp_ns - self._stamp_ns, 0) / 1e9
-        wider = np.asarray(self._covariance + np.diag(self._drift * elapsed_s))
-        shrink = np.sqrt(np.minimum(1.0, self._start / np.diag(wider)))
-        return np.asarray(wider * np.outer(shrink, shrink))
+    def _health(self, row: int) -> CameraHealth:
+        yaw, pitch = np.degrees(self._errors[row, :2]).tolist()
+        sigma_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(self._covariances[row, :2, :2])[-1])))
+        surely_deg = float(np.hypot(yaw, pitch)) - 2 * sigma_deg
+        return CameraHealth(yaw, pitch, sigma_deg, alarm=surely_deg > self._config.alarm_deg)
+
+    def _predicted(self, cameras: IntArray, shots: Shots) -> FloatArray:
+        """(s, 4, 4) covariances before the images, never wider than at the start."""
+        elapsed_s = np.array(
+            [
+                0.0 if before is None else max(pose.stamp_ns - before, 0) / 1e9
+                for before, pose in zip((self._stamps_ns[row] for row in cameras.tolist()), shots.poses, strict=True)
+            ]
+        )
+        wider = self._covariances[cameras]
+        diagonal = wider.reshape(-1, 16)[:, ::5]  # a view: the drift is added on the diagonals
+        diagonal += self._drift * elapsed_s[:, None]
+        shrink = np.sqrt(np.minimum(1.0, self._start / diagonal))
+        return np.asarray(wider * (shrink[:, :, None] * shrink[:, None, :]))
+
+    def _learn(
+        self, cameras: IntArray, shots: Shots, images: IntArray, errors: FloatArray, covariances: FloatArray
+    ) -> None:
+        for row, image in zip(cameras.tolist(), images.tolist(), strict=True):
+            before, stamp_ns = self._stamps_ns[row], shots.poses[image].stamp_ns
+            if before is None or stamp_ns >= before:
+                self._errors[row], self._covariances[row] = errors[image], covariances[image]
+                self._stamps_ns[row] = stamp_ns
 
 
-def error_jacobians(points_px: FloatArray, distances_m: FloatArray, camera: CameraModel) -> FloatArray:
-    """How points move with the error; lens distortion is left aside.
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """The pairs of one set of images that may be, and the error that explains most of them.
 
-    With normalised coordinates (x, y): du = fx (1 + x²) yaw + fx x y pitch, dv = fy x y yaw + fy (1 + y²) pitch; metres
-    right and down at a distance count as angles of metres / distance.
-
-    Args:
-        points_px: (n, 2).
-        distances_m: (n,).
-        camera: The camera.
-
-    Returns:
-        (n, 2, 4) pixels per radian of yaw and pitch, and per metre right and down.
+    Attributes:
+        effect: Of errors on n lights.
+        gram: (3, n) of it.
+        known: (4, n) their boxes.
+        seen: (4, m) boxes of detections.
+        fits: (n, m) pairs that may be.
+        sigmas_px: (n,) of a pair with the right error.
+        shifts_px: (2, n) by the error that was known before.
     """
-    x, y = normalized_points(points_px, camera).T
-    fx, fy = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
-    angles = np.moveaxis(np.array([[fx * (1 + x * x), fx * x * y], [fy * x * y, fy * (1 + y * y)]]), 2, 0)
-    return np.concatenate([angles, angles / np.maximum(distances_m, 1.0)[:, None, None]], axis=2)
+
+    effect: ErrorEffect
+    gram: FloatArray
+    known: FloatArray
+    seen: FloatArray
+    fits: BoolArray
+    sigmas_px: FloatArray
+    shifts_px: FloatArray
+
+    def solve(self, priors: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+        """Find the errors of s images.
+
+        Args:
+            priors: (s, 4, 4) covariances of their changes, whose mean is 0.
+
+        Returns:
+            (s, 4) changes, (s, 4, 4) their covariances, (s,) numbers of pairs that agree, (s,) whether they are beyond
+            doubt.
+        """
+        images, (dx, dy) = self.effect.images, self._offsets()
+        like = self.fits & _alike(self.known[3], self.seen[3])
+        squares = np.where(like, (dx * dx + dy * dy) / (self.sigmas_px**2)[:, None], np.inf)
+        reach = self._reach(priors)
+        # The vote looks at errors within SEARCH_SIGMAS only, and these move a light by `reach` at most: whatever wins,
+        # a pair farther apart than this is none, and one closer than that is one, if neither has another to choose.
+        lights, detections = np.nonzero(squares < ((MATCH_SIGMAS + reach) ** 2)[:, None])
+        contested = (np.bincount(lights)[lights] > 1) | (np.bincount(detections)[detections] > 1)
+        vague = np.sqrt(squares[lights, detections]) >= MATCH_SIGMAS - reach[lights]
+        doubtful = np.zeros(len(priors), dtype=bool)
+        doubtful[images[lights[contested | vague]]] = True
+        # Two errors that move some light apart by more than this may both be right: that is for the vote to judge.
+        doubtful[images[2 * reach > AMBIGUOUS_SIGMAS]] = True
+
+        changes, covariances, pairs = self._fit(lights, detections, dx, dy, priors)
+        sure = pairs > 0
+        for image in np.flatnonzero(doubtful).tolist():
+            mine = np.flatnonzero(images == image)
+            columns = np.flatnonzero(like[mine].any(axis=0))
+            jacobians = self.effect.jacobians()[mine]
+            offsets = np.stack([dx[np.ix_(mine, columns)], dy[np.ix_(mine, columns)]], axis=2)
+            found = vote(offsets, like[np.ix_(mine, columns)], jacobians, self.sigmas_px[mine], priors[image])
+            changes[image], covariances[image], pairs[image], sure[image] = found
+        return changes, covariances, pairs, sure
+
+    def _offsets(self) -> tuple[FloatArray, FloatArray]:
+        """(n, m) pixels right and down from each light to each detection."""
+        x, y = self.known[:2] + self.shifts_px
+        return self.seen[0] - x[:, None], self.seen[1] - y[:, None]
+
+    def _reach(self, priors: FloatArray) -> FloatArray:
+        """(n,) how far any error that the vote looks at moves a light, in standard deviations of a pair.
+
+        For eᵀ P⁻¹ e ≤ k² it is |J e| ≤ k √λ, λ the larger eigenvalue of J P Jᵀ; that of Q G, with the covariance Q of
+        angles, is the same: λ = t / 2 + √(t² / 4 − det Q det G), t = tr Q G.
+        """
+        q_xx, q_xy, q_yy = q = self.effect.turn_covariances(priors)
+        g_xx, g_xy, g_yy = self.gram
+        half = _trace(self.gram, q) / 2
+        determinant = (q_xx * q_yy - q_xy * q_xy) * (g_xx * g_yy - g_xy * g_xy)
+        largest = half + np.sqrt(np.maximum(half * half - determinant, 0.0))
+        return np.asarray(SEARCH_SIGMAS * np.sqrt(largest) / self.sigmas_px)
+
+    def _fit(
+        self, lights: IntArray, detections: IntArray, dx: FloatArray, dy: FloatArray, priors: FloatArray
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Weighted least squares over k pairs, with the priors as one more equation for each image.
+
+        Of a pair, JᵀJ = [[G, G / d], [G / d, G / d²]] and Jᵀ o = [Aᵀ o, Aᵀ o / d].
+        """
+        s, k, chosen = len(priors), len(lights), self.effect.take(lights)
+        pulls = chosen.pulled_back(np.array([dx[lights, detections], dy[lights, detections]]))
+        g_xx, g_xy, g_yy = self.gram[:, lights]
+        terms = np.array([g_xx, g_xy, g_xy, g_yy, *pulls])  # (6, k)
+        mine = (chosen.images == np.arange(s)[:, None]) / self.sigmas_px[lights] ** 2  # (s, k)
+        weights = np.array([mine, mine * chosen.nearness, mine * chosen.nearness**2]).reshape(3 * s, k)
+        sums = (weights @ terms.T).reshape(3, s, 6)
+        gram = sums[:, :, :4].reshape(3, s, 2, 2)
+        information = np.empty((s, 4, 4))
+        information[:, :2, :2], information[:, 2:, 2:] = gram[0], gram[2]
+        information[:, :2, 2:] = information[:, 2:, :2] = gram[1]
+        covariances = np.linalg.inv(np.linalg.inv(priors) + information)
+        towards = np.concatenate([sums[0, :, 4:], sums[1, :, 4:]], axis=1)
+        pairs = np.count_nonzero(mine, axis=1)
+        alone = pairs == 0
+        if alone.any():
+            covariances[alone] = priors[alone]
+        return (covariances @ towards[:, :, None])[..., 0], covariances, pairs
+
+
+def _trace(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(n,) traces of the products of symmetric matrices, given by (3, n) elements xx, xy, yy."""
+    return np.asarray(a[0] * b[0] + 2 * a[1] * b[1] + a[2] * b[2])
 
 
 def _alike(heights_a: FloatArray, heights_b: FloatArray) -> BoolArray:
-    ratio = heights_a[:, None] / np.maximum(heights_b[None, :], 1e-9)
-    return np.asarray((ratio < _MAX_HEIGHT_RATIO) & (ratio > 1 / _MAX_HEIGHT_RATIO))
-
-
-def _vote(
-    offsets: FloatArray, like: BoolArray, jacobians: FloatArray, sigmas_px: FloatArray, prior: FloatArray
-) -> tuple[FloatArray, FloatArray, int, bool]:
-    """The error that explains most pairs.
-
-    Args:
-        offsets: (n, m, 2) pixels from each light to each detection.
-        like: (n, m) pairs that may vote.
-        jacobians: (n, 2, 4) pixels per unit of the error.
-        sigmas_px: (n,) of a pair with the right error.
-        prior: (4, 4) covariance of the error, whose mean is 0.
-
-    Returns:
-        (4,) error, (4, 4) its covariance, the number of pairs that agree, and whether it is beyond doubt.
-    """
-    lights, detections = np.nonzero(like)
-    if not len(lights):
-        return np.zeros(4), prior, 0, False
-    # Of all errors that bring a light onto a detection, the most probable one: P Jᵀ (J P Jᵀ)⁻¹ d.
-    spread = jacobians @ prior @ jacobians.swapaxes(1, 2)
-    gains = prior @ jacobians.swapaxes(1, 2) @ np.linalg.inv(spread)
-    proposals = np.einsum("cij,cj->ci", gains[lights], offsets[lights, detections])
-    precision = np.linalg.inv(prior)
-    surprise = np.einsum("ci,ij,cj->c", proposals, precision, proposals)
-    order = np.argsort(surprise)[:_MAX_PROPOSALS]
-    order = order[surprise[order] < _SEARCH_SIGMAS**2]
-    proposals = np.concatenate([np.zeros((1, 4)), proposals[order]])
-    penalties = np.concatenate([[0.0], surprise[order]]) / 2
-
-    squares = _squares(offsets, like, jacobians, sigmas_px, proposals)
-    agreement = np.maximum(_GAIN - squares / 2, 0.0)
-    # One detection cannot speak for two lights, nor one light for two detections.
-    votes = np.minimum(agreement.max(axis=2).sum(axis=1), agreement.max(axis=1).sum(axis=1)) - penalties
-    best = int(np.argmax(votes))
-    if votes[best] <= 0:
-        return np.zeros(4), prior, 0, False
-    error, covariance, pairs = _fit(squares[best], offsets, jacobians, sigmas_px, precision)
-    if pairs < 2:
-        # One pair alone may be the neighbour. It sharpens what is known, if it agrees with it.
-        error, covariance, pairs = _fit(squares[0], offsets, jacobians, sigmas_px, precision)
-        return error, covariance, pairs, pairs > 0
-    moved_px = np.abs(jacobians @ (proposals - proposals[best]).T).max(axis=(0, 1))
-    others = moved_px > 3 * sigmas_px.max()
-    sure = votes[best] - votes[others].max(initial=-np.inf) > _AMBIGUOUS
-    return error, covariance, pairs, bool(sure)
-
-
-def _squares(
-    offsets: FloatArray, like: BoolArray, jacobians: FloatArray, sigmas_px: FloatArray, errors: FloatArray
-) -> FloatArray:
-    """(c, n, m) squared distances in standard deviations with each of (c, 4) errors; infinite where not alike."""
-    moved = (jacobians @ errors.T).transpose(2, 0, 1)
-    rest = offsets[None] - moved[:, :, None, :]
-    squares = (rest[..., 0] ** 2 + rest[..., 1] ** 2) / (sigmas_px**2)[None, :, None]
-    squares[:, ~like] = np.inf
-    return np.asarray(squares)
-
-
-def _fit(
-    squares: FloatArray, offsets: FloatArray, jacobians: FloatArray, sigmas_px: FloatArray, precision: FloatArray
-) -> tuple[FloatArray, FloatArray, int]:
-    """Weighted least squares over the pairs that are each other's nearest, with the prior as one more equation."""
-    nearest, back = squares.argmin(axis=1), squares.argmin(axis=0)
-    rows = np.arange(len(squares))
-    lights = rows[(back[nearest] == rows) & (squares[rows, nearest] < 2 * _GAIN)]
-    chosen = jacobians[lights].reshape(-1, 4)
-    weighted = chosen / np.repeat(sigmas_px[lights] ** 2, 2)[:, None]
-    covariance = np.linalg.inv(precision + weighted.T @ chosen)
-    error = covariance @ (weighted.T @ offsets[lights, nearest[lights]].reshape(-1))
-    return error, covariance, len(lights)
+    """(n, m) whether boxes are about equally high."""
+    ratio = heights_a[:, None] / np.maximum(heights_b, 1e-9)
+    return np.asarray((ratio < MAX_HEIGHT_RATIO) & (ratio > 1 / MAX_HEIGHT_RATIO))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from autolights.core import BoolArray, Detections, FloatArray, IntArray
-from autolights.core.boxes import cxcywh_from_xyxy
+from autolights.core.boxes import cxcywh_columns
 from autolights.track.projection import ANY_TYPE, NameArray, ProjectedLights
 
 # A detector boxes what it sees: with its lower half hidden, a head is half as high, and its centre a quarter higher.
@@ -52,15 +52,35 @@ def association_cost(
     Returns:
         (n, m) pixels; +inf forbids a pair: too far apart, or of different types.
     """
-    known, seen = cxcywh_from_xyxy(projected.boxes_xyxy), cxcywh_from_xyxy(detections.boxes_xyxy)
-    difference = known[:, None, :] - seen[None, :, :]
-    distance_px = np.sqrt(np.einsum("nmk,nmk->nm", difference, difference))
-    limit_px = np.full((len(known), 1), max_distance_px)
+    return costs_of(
+        cxcywh_columns(projected.boxes_xyxy),
+        cxcywh_columns(detections.boxes_xyxy),
+        type_fits(projected, detections, class_types),
+        max_distance_px=max_distance_px,
+        max_distance_heights=max_distance_heights,
+        gates_px=gates_px,
+    )
+
+
+def costs_of(
+    known: FloatArray,
+    seen: FloatArray,
+    fits: BoolArray,
+    *,
+    max_distance_px: float,
+    max_distance_heights: float | None = None,
+    gates_px: FloatArray | None = None,
+) -> FloatArray:
+    """`association_cost` of (4, n) and (4, m) centres, widths and heights, with (n, m) pairs that may be at all."""
+    left, down, wider, taller = known[:, :, None] - seen[:, None]
+    distance_px = np.sqrt(left * left + down * down + wider * wider + taller * taller)
+    heights_px = known[3]
+    limit_px = np.full(len(heights_px), max_distance_px)
     if max_distance_heights is not None:
-        limit_px = np.minimum(limit_px, max_distance_heights * known[:, 3:])
+        limit_px = np.minimum(limit_px, max_distance_heights * heights_px)
     if gates_px is not None:
-        limit_px = np.minimum(limit_px, gates_px[:, None] + _HIDDEN_HEIGHTS * known[:, 3:])
-    return np.where(type_fits(projected, detections, class_types) & (distance_px <= limit_px), distance_px, np.inf)
+        limit_px = np.minimum(limit_px, gates_px + _HIDDEN_HEIGHTS * heights_px)
+    return np.where(fits & (distance_px <= limit_px[:, None]), distance_px, np.inf)
 
 
 def type_fits(projected: ProjectedLights, detections: Detections, class_types: NameArray) -> BoolArray:
@@ -87,10 +107,19 @@ def associate(cost: FloatArray, *, unmatched_cost: float) -> Association:
     light_count, detection_count = cost.shape
     # Whatever a pair costs beyond the price of leaving it, leaving it is as good: capped, infinity never reaches scipy,
     # and the full assignment of the capped gains is the cheapest partial one.
-    gain = np.minimum(cost - unmatched_cost, 0.0)
-    rows, columns = linear_sum_assignment(gain)
-    worthwhile = gain[rows, columns] < 0
-    matches = np.stack([rows[worthwhile], columns[worthwhile]], axis=1).astype(np.int64)
+    rows, columns = np.nonzero(cost < unmatched_cost)
+    contested = (np.bincount(rows)[rows] > 1) | (np.bincount(columns)[columns] > 1)
+    if contested.any():
+        # A pair that nobody else wants is made; only the rest is searched.
+        rivals, wanted = np.unique(rows[contested]), np.unique(columns[contested])
+        gain = np.minimum(cost[np.ix_(rivals, wanted)] - unmatched_cost, 0.0)
+        taken_rows, taken_columns = linear_sum_assignment(gain)
+        worthwhile = gain[taken_rows, taken_columns] < 0
+        rows = np.concatenate([rows[~contested], rivals[taken_rows[worthwhile]]])
+        columns = np.concatenate([columns[~contested], wanted[taken_columns[worthwhile]]])
+        order = np.argsort(rows)
+        rows, columns = rows[order], columns[order]
+    matches = np.array([rows, columns], dtype=np.int64).T
     return Association(
         matches=matches,
         unmatched_lights=_rest(light_count, matches[:, 0]),

@@ -2,8 +2,12 @@
 
 import numpy as np
 
-from autolights.core import CameraModel, FloatArray, Pose, back_project
-from autolights.core.transforms import invert_rigid, transform_points
+from autolights.core import CameraModel, FloatArray, IntArray, Pose
+from autolights.core.boxes import cxcywh_columns
+from autolights.core.shots import Shots
+
+_CENTRE_TOP_BOTTOM = np.array([0.0, -0.5, 0.5])  # in heights of a box from its centre
+_IDENTITY = np.eye(3)
 
 
 def localize(box_xyxy: FloatArray, light_size_m: FloatArray, camera: CameraModel, pose: Pose) -> FloatArray:
@@ -38,18 +42,35 @@ def localize_boxes(boxes_xyxy: FloatArray, sizes_m: FloatArray, camera: CameraMo
     Returns:
         (n, 3) metres, map frame.
     """
-    centre_x, centre_y = (boxes_xyxy[:, 0] + boxes_xyxy[:, 2]) / 2, (boxes_xyxy[:, 1] + boxes_xyxy[:, 3]) / 2
-    across = np.concatenate([centre_x, centre_x, centre_x])
-    down = np.concatenate([centre_y, boxes_xyxy[:, 1], boxes_xyxy[:, 3]])
-    # Half a pixel: boxes count from the corner of the top-left pixel, points from its centre.
-    centres, tops, bottoms = np.split(back_project(np.stack([across, down], axis=1) - 0.5, camera), 3)
+    images = np.zeros(len(boxes_xyxy), dtype=np.int64)
+    return localize_in_images(cxcywh_columns(boxes_xyxy), sizes_m, Shots.of([camera], [pose]), images)
 
-    utm_from_cam = invert_rigid(camera.cam_from_ins @ invert_rigid(pose.utm_from_ins))
-    directions = centres @ utm_from_cam[:3, :3].T
+
+def localize_in_images(boxes: FloatArray, sizes_m: FloatArray, shots: Shots, images: IntArray) -> FloatArray:
+    """`localize_boxes` for boxes of several images.
+
+    Args:
+        boxes: (4, n) centre x, centre y, width, height; pixels.
+        sizes_m: (n, 3) width, height, depth of the housings.
+        shots: The images.
+        images: (n,) which image each box lies in, ascending.
+
+    Returns:
+        (n, 3) metres, map frame.
+    """
+    x, y, _, height_px = boxes
+    # Centre, top and bottom. Half a pixel: boxes count from the corner of the top-left pixel, points from its centre.
+    points_px = np.empty((2, len(x), 3))
+    points_px[0] = (x - 0.5)[:, None]
+    points_px[1] = (y - 0.5)[:, None] + height_px[:, None] * _CENTRE_TOP_BOTTOM
+    rays = shots.back_project(points_px.reshape(2, -1), images.repeat(3)).reshape(2, -1, 3)
+    centres = np.ones((len(x), 1, 3))
+    centres[:, 0, :2] = rays[:, :, 0].T
+    directions = (centres @ shots.cam_from_utm[images])[:, 0]  # a rotation's inverse is its transpose
     slope = np.abs(directions[:, 2]) / np.hypot(directions[:, 0], directions[:, 1])
     shown_height_m = sizes_m[:, 1] + sizes_m[:, 2] * slope
-    depth_m = shown_height_m / (bottoms[:, 1] - tops[:, 1])
-    return transform_points(utm_from_cam, centres * depth_m[:, None])
+    depth_m = shown_height_m / (rays[1, :, 2] - rays[1, :, 1])
+    return np.asarray(shots.lens[images] + directions * depth_m[:, None])
 
 
 def localization_information(
@@ -70,14 +91,20 @@ def localization_information(
     Returns:
         (..., 3, 3) 1/m², symmetric, positive definite.
     """
-    mount = camera.cam_from_ins
-    lens = pose.position - pose.utm_from_ins[:3, :3] @ (mount[:3, :3].T @ mount[:3, 3])
-    rays = positions - lens
-    distances_m = np.sqrt((rays * rays).sum(axis=-1))
     focal_px = float(camera.intrinsics[1, 1])
+    rays = positions - Shots.of([camera], [pose]).lens[0]
+    return information_along(rays, heights_m, focal_px, box_sigma_px=box_sigma_px)
+
+
+def information_along(
+    rays: FloatArray, heights_m: FloatArray | float, focal_px: FloatArray | float, *, box_sigma_px: float
+) -> FloatArray:
+    """`localization_information` from (..., 3) metres from the lens, heights in metres and focal lengths in pixels."""
+    distances_m = np.sqrt((rays * rays).sum(axis=-1))
     along_m = distances_m**2 * np.sqrt(2) * box_sigma_px / (focal_px * heights_m)
     across_m = distances_m * box_sigma_px / (np.sqrt(2) * focal_px)
     # I / across² + (1 / along² − 1 / across²) d dᵀ with the ray's direction d
-    scaled = rays / distances_m[..., None] * (1 / along_m**2 - 1 / across_m**2)[..., None]
-    outer = scaled[..., :, None] * (rays / distances_m[..., None])[..., None, :]
-    return np.asarray(outer + np.eye(3) / np.square(across_m)[..., None, None])
+    directions = rays / distances_m[..., None]
+    across_only, more_along = 1 / across_m**2, 1 / along_m**2 - 1 / across_m**2
+    outer = (directions * more_along[..., None])[..., :, None] * directions[..., None, :]
+    return np.asarray(outer + _IDENTITY * across_only[..., None, None])

@@ -1,6 +1,7 @@
 """All tracks: observations of several cameras in, one estimate per light out (Wu et al. 2023, Sec. III-C)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +18,11 @@ from autolights.core import (
 from autolights.core.errors import DataError
 from autolights.track.config import TrackConfig
 from autolights.track.linking import link_across_cameras
-from autolights.track.localization import localization_information
+from autolights.track.localization import information_along
 from autolights.track.misses import in_plain_view
-from autolights.track.observation import CameraObservation
+from autolights.track.observation import CameraObservation, SetObservation
 from autolights.track.paper_states import PaperStates
+from autolights.track.place_book import PlaceBook
 from autolights.track.projection import ANY_TYPE
 from autolights.track.reporting import Reporter
 from autolights.track.signal_groups import group_numbers
@@ -33,12 +35,13 @@ _MOVED_M = 0.01  # a light of the index is placed anew once it is this far from 
 
 
 class _Seen(NamedTuple):
-    """What one image told: detections of tracks, and tracks that it should have shown but did not."""
+    """What images told: detections of tracks, tracks that they should have shown but did not, and which images."""
 
-    observation: CameraObservation
     rows: IntArray
     detections: IntArray
+    images: IntArray
     missed: IntArray
+    missed_in: IntArray
 
 
 class TrackManager:
@@ -91,12 +94,18 @@ class TrackManager:
         """How many lights are remembered."""
         return len(self._table)
 
-    def update(self, observations: Sequence[CameraObservation], stamp_ns: int) -> list[LightEstimate]:
+    def update(
+        self,
+        observations: SetObservation | Sequence[CameraObservation],
+        stamp_ns: int,
+        places: PlaceBook | None = None,
+    ) -> list[LightEstimate]:
         """Take in one set of frames.
 
         Args:
             observations: One per image, held against the map and `unmapped` as they are now, in any order.
             stamp_ns: Latest stamp of the set; no earlier than the last set's.
+            places: Where lights stand, as far as that is known better than by the map and by these tracks.
 
         Returns:
             Estimates of all lights that were born, in the order of their track ids. A light whose state is too old is
@@ -111,13 +120,21 @@ class TrackManager:
         self._last_set_ns = stamp_ns
         self._views = {}
         self._states.let_time_pass(stamp_ns)
-        ordered = sorted(observations, key=lambda observation: (observation.stamp_ns, observation.camera.name))
         self._touched = np.zeros(len(self._table), dtype=bool)
-        seen = [self._match(observation, stamp_ns) for observation in ordered]
-        seen += self._start_tracks(ordered, stamp_ns)
-        self._states.take_in([self._looks(sight) for sight in seen])
+        seen: list[_Seen] = []
+        looks: list[Looks] = []
+        if observations:
+            if not isinstance(observations, SetObservation):
+                observations = SetObservation.of(observations)
+            seen = [self._match(observations, stamp_ns), *self._start_tracks(observations, stamp_ns)]
+            looks = [look for sight in seen for look in self._looks(observations, sight)]
+        self._states.take_in(looks)
         self._count_set(seen, stamp_ns, elapsed_ns)
-        estimates = self._estimates(ordered, stamp_ns)
+        self._reports = self._states.report()
+        estimates: list[LightEstimate] = []
+        if isinstance(observations, SetObservation):
+            vehicle = observations.shots.vehicle[-1]
+            estimates = self._reporter.estimates(self._table, self._reports, self._views, vehicle, stamp_ns, places)
         self._forget(stamp_ns)
         return estimates
 
@@ -176,31 +193,56 @@ class TrackManager:
         if saved != ours:
             raise DataError(f"tracking state: {what} was {saved!r} when it was saved and is {ours!r} now")
 
-    def _match(self, observation: CameraObservation, set_ns: int) -> _Seen:
+    def _match(self, observation: SetObservation, set_ns: int) -> _Seen:
         """Give each detection that was matched to its track; note who was expected in vain."""
-        projected, association, on_map = observation.projected, observation.association, len(self._lights)
+        projected, association = observation.projected, observation.association
         lights, detections = association.matches[:, 0], association.matches[:, 1]
         known = projected.indices[lights]
-        new = known[(known < on_map)]
-        new = new[self._row_of_light[new] < 0]
-        if len(new):
-            self._start_map_tracks(new, set_ns)
         rows = self._rows_of(known)
-        boxes = observation.detections.boxes_xyxy
-        camera, stamp_ns = observation.camera.name, observation.stamp_ns
-        for row, box in zip(rows.tolist(), boxes[detections].tolist(), strict=True):
-            self._views.setdefault(row, []).append(CameraView(camera, stamp_ns, tuple(box)))
-
+        unknown = known[rows < 0]
+        if len(unknown):
+            _, first = np.unique(unknown, return_index=True)
+            self._start_map_tracks(unknown[np.sort(first)], set_ns)
+            rows = self._rows_of(known)
         left = association.unmatched_lights
         left = left[projected.expected[left]]
         missed = self._rows_of(projected.indices[left])
         left, missed = left[missed >= 0], missed[missed >= 0]
-        for row in missed.tolist():
-            self._views.setdefault(row, []).append(CameraView(camera, stamp_ns, None))
+        images, missed_in = observation.known_in[lights], observation.known_in[left]
+        boxes = observation.detections.boxes_xyxy
+        self._note_views(observation, rows, images, boxes[detections].tolist(), missed, missed_in)
         if len(missed):
-            missed = missed[in_plain_view(projected.boxes_xyxy[left], boxes, min_height_px=self._config.min_missed_px)]
-        self._remember(rows, observation, detections)
-        return _Seen(observation, rows, detections, missed)
+            in_view = in_plain_view(
+                projected.boxes_xyxy[left],
+                boxes,
+                min_height_px=self._config.min_missed_px,
+                together=missed_in[:, None] == observation.seen_in,
+            )
+            missed, missed_in = missed[in_view], missed_in[in_view]
+        self._remember(rows, observation, detections, images)
+        return _Seen(rows, detections, images, missed, missed_in)
+
+    def _note_views(
+        self,
+        observation: SetObservation,
+        rows: IntArray,
+        images: IntArray,
+        boxes: list[list[float]],
+        missed: IntArray,
+        missed_in: IntArray,
+    ) -> None:
+        """Note which images show a light, and which should have."""
+        cameras = [camera.name for camera in observation.shots.optics.cameras]
+        stamps_ns = [pose.stamp_ns for pose in observation.shots.poses]
+        shown: list[tuple[int, int, Any]] = [
+            *zip(images.tolist(), rows.tolist(), map(tuple, boxes), strict=True),
+            *((image, row, None) for image, row in zip(missed_in.tolist(), missed.tolist(), strict=True)),
+        ]
+        if len(missed):
+            shown.sort(key=itemgetter(0))
+        for image, row, box in shown:
+            view = CameraView(cameras[image], stamps_ns[image], box)
+            self._views.setdefault(row, []).append(view)
 
     def _rows_of(self, known: IntArray) -> IntArray:
         """Rows of the table for rows of map and index; −1 for a map light that has no track."""
@@ -233,56 +275,65 @@ class TrackManager:
         self._touched = np.concatenate([self._touched, np.ones(len(rows), dtype=bool)])
         return rows
 
-    def _remember(self, rows: IntArray, observation: CameraObservation, detections: IntArray) -> None:
+    def _remember(self, rows: IntArray, observation: SetObservation, detections: IntArray, images: IntArray) -> None:
         """Let lights that come back start anew; let unmapped ones be placed and typed by what was seen."""
         table = self._table
         anew = rows[table.starts_anew[rows] & ~self._touched[rows]]
         if len(anew):
+            anew = np.unique(anew)
             self._states.start_anew(anew, table.types[anew])
         self._touched[rows] = True
-        unmapped = table.map_rows[rows] < 0
-        if unmapped.any():
-            self._learn(rows[unmapped], observation, detections[unmapped])
+        unmapped = np.flatnonzero(table.map_rows[rows] < 0)
+        if len(unmapped):
+            self._learn(rows[unmapped], observation, detections[unmapped], images[unmapped])
 
-    def _learn(self, rows: IntArray, observation: CameraObservation, detections: IntArray) -> None:
+    def _learn(self, rows: IntArray, observation: SetObservation, detections: IntArray, images: IntArray) -> None:
         """Let unmapped lights be typed and placed by what was seen."""
         table = self._table
         seen_types = self._class_types[observation.detections.class_ids[detections]]
+        if (seen_types == table.types[rows]).all():
+            np.add.at(table.type_votes, (rows, seen_types), 1)
+        else:  # another type may win, and then lose again: one image after the other
+            for image in np.unique(images):
+                self._vote_types(rows[images == image], seen_types[images == image])
+        information = self._information(observation, detections)
+        table.refine_positions(rows, observation.positions[detections], information)
+
+    def _vote_types(self, rows: IntArray, seen_types: IntArray) -> None:
+        table = self._table
         table.type_votes[rows, seen_types] += 1
         votes = table.type_votes[rows]
         outvoted = votes.max(axis=1) > votes[np.arange(len(rows)), table.types[rows]]
         if outvoted.any():
             table.types[rows[outvoted]] = np.argmax(votes[outvoted], axis=1)
             self._states.start_anew(rows[outvoted], table.types[rows[outvoted]])
-        information = self._information(observation, detections)
-        table.refine_positions(rows, observation.positions[detections], information)
 
-    def _start_tracks(self, observations: Sequence[CameraObservation], set_ns: int) -> list[_Seen]:
+    def _start_tracks(self, observation: SetObservation, set_ns: int) -> list[_Seen]:
         """Make tentative tracks of the detections that nobody knew; what two cameras see twice becomes one."""
         fresh: IntArray = np.empty(0, dtype=np.int64)
         seen = []
-        for observation in observations:
-            detections = observation.new_lights
-            if not len(detections):
-                continue
-            linked = link_across_cameras(
-                self._table.positions[fresh], observation.positions[detections], observation.pose.position
-            )
+        found_in = observation.seen_in[observation.new_lights]
+        for image in np.unique(found_in).tolist():
+            detections = observation.new_lights[found_in == image]
+            images = np.full(len(detections), image)
+            vehicle = observation.shots.vehicle[image]
+            linked = link_across_cameras(self._table.positions[fresh], observation.positions[detections], vehicle)
             rows = np.array([fresh[linked[i]] if i in linked else -1 for i in range(len(detections))])
             again = rows >= 0
-            self._remember(rows[again], observation, detections[again])
-            rows[~again] = self._new_tracks(observation, detections[~again], set_ns)
+            self._remember(rows[again], observation, detections[again], images[again])
+            rows[~again] = self._new_tracks(observation, detections[~again], vehicle, set_ns)
             fresh = np.concatenate([fresh, rows[~again]])
-            for row, box in zip(rows.tolist(), observation.detections.boxes_xyxy[detections].tolist(), strict=True):
-                view = CameraView(observation.camera.name, observation.stamp_ns, tuple(box))
-                self._views.setdefault(row, []).append(view)
-            seen.append(_Seen(observation, rows, detections, rows[:0]))
+            boxes = observation.detections.boxes_xyxy[detections].tolist()
+            self._note_views(observation, rows, images, boxes, rows[:0], rows[:0])
+            seen.append(_Seen(rows, detections, images, rows[:0], rows[:0]))
         return seen
 
-    def _new_tracks(self, observation: CameraObservation, detections: IntArray, set_ns: int) -> IntArray:
+    def _new_tracks(
+        self, observation: SetObservation, detections: IntArray, vehicle: FloatArray, set_ns: int
+    ) -> IntArray:
         types = self._class_types[observation.detections.class_ids[detections]]
         positions = observation.positions[detections]
-        east, north, _ = (observation.pose.position - positions).T
+        east, north, _ = (vehicle - positions).T
         rows = self._append(
             map_rows=np.full(len(detections), -1, dtype=np.int64),
             types=types,
@@ -294,23 +345,29 @@ class TrackManager:
         self._table.type_votes[rows, types] += 1
         return rows
 
-    def _information(self, observation: CameraObservation, detections: IntArray) -> FloatArray:
+    def _information(self, observation: SetObservation, detections: IntArray) -> FloatArray:
         seen_types = self._class_types[observation.detections.class_ids[detections]]
-        return localization_information(
-            observation.positions[detections],
+        shots, images = observation.shots, observation.seen_in[detections]
+        return information_along(
+            observation.positions[detections] - shots.lens[images],
             self._heights_m[seen_types],
-            observation.camera,
-            observation.pose,
+            shots.optics.focal_px[1, images],
             box_sigma_px=self._config.box_sigma_px,
         )
 
-    def _looks(self, seen: _Seen) -> Looks:
-        """What a camera says about states: a light that is seen as another type than its own says nothing."""
-        found = seen.observation.detections
+    def _looks(self, observation: SetObservation, seen: _Seen) -> Iterator[Looks]:
+        """What each camera says about states: a light that is seen as another type than its own says nothing."""
+        found = observation.detections
         telling = self._class_types[found.class_ids[seen.detections]] == self._table.types[seen.rows]
-        detections = seen.detections[telling]
-        boxes = found.boxes_xyxy[detections]
-        return Looks(seen.rows[telling], found.class_probs[detections], boxes[:, 3] - boxes[:, 1], seen.missed)
+        rows, detections, images = seen.rows[telling], seen.detections[telling], seen.images[telling]
+        boxes, class_probs = found.boxes_xyxy[detections], found.class_probs[detections]
+        heights_px = boxes[:, 3] - boxes[:, 1]
+        every = range(len(observation) + 1)
+        bounds, missed = np.searchsorted(images, every).tolist(), np.searchsorted(seen.missed_in, every).tolist()
+        for image in range(len(observation)):
+            here = slice(bounds[image], bounds[image + 1])
+            in_vain = seen.missed[missed[image] : missed[image + 1]]
+            yield Looks(rows[here], class_probs[here], heights_px[here], in_vain)
 
     def _count_set(self, seen: Sequence[_Seen], set_ns: int, elapsed_ns: int) -> None:
         detected, expected = np.zeros((2, len(self._table)), dtype=bool)
@@ -358,10 +415,3 @@ class TrackManager:
             headings_deg=table.headings_deg[rows],
             sizes_m=self._signals.sizes_m(self._type_names[t] for t in table.types[rows]),
         )
-
-    def _estimates(self, observations: Sequence[CameraObservation], set_ns: int) -> list[LightEstimate]:
-        self._reports = self._states.report()
-        if not observations:
-            return []
-        vehicle = observations[-1].pose.position
-        return self._reporter.estimates(self._table, self._reports, self._views, vehicle, set_ns)

@@ -5,7 +5,9 @@ import numpy as np
 from autolights.core import BoolArray, FloatArray
 
 
-def in_plain_view(expected_xyxy: FloatArray, detected_xyxy: FloatArray, *, min_height_px: float) -> BoolArray:
+def in_plain_view(
+    expected_xyxy: FloatArray, detected_xyxy: FloatArray, *, min_height_px: float, together: BoolArray | None = None
+) -> BoolArray:
     """Whether lights should have been seen: large enough, and nothing detected where they hang.
 
     What is detected there may hide the light, or be the light itself, taken for something else.
@@ -14,12 +16,16 @@ def in_plain_view(expected_xyxy: FloatArray, detected_xyxy: FloatArray, *, min_h
         expected_xyxy: (n, 4) pixels: boxes of known lights within the image and the camera's range, not detected.
         detected_xyxy: (m, 4) pixels of all detections.
         min_height_px: Smaller ones are missed whatever they show.
+        together: (n, m) whether both lie in one image; None if all do.
 
     Returns:
         (n,).
     """
     tall = expected_xyxy[:, 3] - expected_xyxy[:, 1] >= min_height_px
-    lows = np.maximum(expected_xyxy[:, None, :2], detected_xyxy[None, :, :2])
-    highs = np.minimum(expected_xyxy[:, None, 2:], detected_xyxy[None, :, 2:])
-    touched = np.all(highs > lows, axis=2)
+    left, top, right, bottom = expected_xyxy.T[:, :, None]
+    seen_left, seen_top, seen_right, seen_bottom = detected_xyxy.T
+    across = np.minimum(right, seen_right) > np.maximum(left, seen_left)
+    touched = across & (np.minimum(bottom, seen_bottom) > np.maximum(top, seen_top))
+    if together is not None:
+        touched &= together
     return np.asarray(tall & ~touched.any(axis=1))

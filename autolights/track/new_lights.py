@@ -2,19 +2,19 @@
 
 import numpy as np
 
-from autolights.core import BoolArray, CameraModel, FloatArray, Pose
-from autolights.core.boxes import cxcywh_from_xyxy
-from autolights.track.projection import ProjectedLights
+from autolights.core import BoolArray, FloatArray, IntArray
+from autolights.core.shots import Shots
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
 
 
 def may_be_new(
-    boxes_xyxy: FloatArray,
+    seen: FloatArray,
     positions: FloatArray,
-    projected: ProjectedLights,
-    camera: CameraModel,
-    pose: Pose,
+    seen_in: IntArray,
+    known: FloatArray,
+    known_in: IntArray,
+    shots: Shots,
     *,
     misread_distance_heights: float,
 ) -> BoolArray:
@@ -23,21 +23,22 @@ def may_be_new(
     A box that the image's edge cuts has lost the height from which its distance would follow.
 
     Args:
-        boxes_xyxy: (n, 4) pixels of unmatched detections.
-        positions: (n, 3) metres, by their size.
-        projected: Known lights in the image.
-        camera: The camera.
-        pose: The vehicle's at the image's stamp.
+        seen: (4, m) centres, widths and heights of unmatched detections, pixels.
+        positions: (m, 3) metres, by their size.
+        seen_in: (m,) which image each lies in.
+        known: (4, n) centres, widths and heights of the known lights.
+        known_in: (n,) which image each lies in.
+        shots: The images.
         misread_distance_heights: A detection whose centre is closer than this many box heights to a known light is that
             light, taken for another type; 0 lets it pass.
 
     Returns:
-        (n,) whether it may be new.
+        (m,) whether it may be new.
     """
-    lows, highs = boxes_xyxy[:, :2], boxes_xyxy[:, 2:]
-    whole = np.all((lows >= _EDGE_PX) & (highs <= np.array(camera.size_wh) - _EDGE_PX), axis=1)
-    near = np.linalg.norm(positions - pose.position, axis=1) <= camera.max_range_m
-    known = cxcywh_from_xyxy(projected.boxes_xyxy)
-    apart_px = np.linalg.norm(known[:, None, :2] - ((lows + highs) / 2)[None, :, :], axis=-1)
-    misread = np.any(apart_px < misread_distance_heights * known[:, 3:], axis=0)
-    return np.asarray(whole & near & ~misread)
+    halves, optics = seen[2:] / 2, shots.optics
+    whole = (seen[:2] - halves >= _EDGE_PX) & (seen[:2] + halves <= optics.size_wh[:, seen_in] - _EDGE_PX)
+    near = np.linalg.norm(positions - shots.vehicle[seen_in], axis=1) <= optics.range_m[seen_in]
+    right, down = known[:2, :, None] - seen[:2, None]
+    misread = np.sqrt(right * right + down * down) < misread_distance_heights * known[3][:, None]
+    misread &= known_in[:, None] == seen_in
+    return np.asarray(whole.all(axis=0) & near & ~misread.any(axis=0))

@@ -1,12 +1,12 @@
 """Which place belongs to which light: `LightPlaces` for the lights that images were paired with."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from autolights.core import FloatArray, IntArray, TrafficLightMap
-from autolights.track.observation import CameraObservation
+from autolights.track.observation import SetObservation
 from autolights.track.places import LightPlaces, PlaceConfig
 
 _MAX_LIGHTS = 1000  # beyond it those that were not seen for longest are forgotten
@@ -23,30 +23,32 @@ class PlaceBook:
 
     def __init__(self, lights: TrafficLightMap, cameras: Iterable[str], config: PlaceConfig) -> None:
         self._lights = lights
-        self._row_of_id = {light_id: row for row, light_id in enumerate(lights.ids)}
         self.places = LightPlaces(tuple(cameras), config)
         # Keys of the places' rows: rows of the map, or −1 − track id.
         self._keys: list[int] = []
-        self._row_of_key: dict[int, int] = {}
+        self._row_of_light: IntArray = np.full(len(lights) + 1, -1, dtype=np.int64)  # the last stands for no light
+        self._row_of_track: dict[int, int] = {}
         self._sizes_m: FloatArray = np.empty((0, 3))
         self._seen_ns: IntArray = np.empty(0, dtype=np.int64)
 
-    def take_in(self, observations: Sequence[CameraObservation], unmapped: TrafficLightMap, stamp_ns: int) -> None:
+    def take_in(self, observations: SetObservation, unmapped: TrafficLightMap, stamp_ns: int) -> None:
         """Learn from the pairs of one set of frames.
 
         Args:
-            observations: One per image.
+            observations: The images.
             unmapped: The unmapped lights as the images were held against, track ids for names.
             stamp_ns: Latest stamp of the set.
         """
-        for observation in sorted(observations, key=lambda observation: observation.camera.name):
-            lights, detections = observation.association.matches.T
-            known = observation.projected.indices[lights]
-            if not len(known):
-                continue
-            rows = self._rows(known, unmapped)
-            boxes_xyxy = observation.detections.boxes_xyxy[detections]
-            self.places.observe(rows, boxes_xyxy, observation.camera, observation.pose)
+        lights, detections = observations.association.matches.T
+        if len(lights):
+            rows = self._rows(observations.projected.indices[lights], unmapped)
+            boxes_xyxy = observations.detections.boxes_xyxy[detections]
+            images, shots = observations.known_in[lights], observations.shots
+            bounds = np.searchsorted(images, range(len(shots) + 1)).tolist()
+            for image, camera in enumerate(shots.optics.cameras):
+                here = slice(bounds[image], bounds[image + 1])
+                if here.start < here.stop:
+                    self.places.observe(rows[here], boxes_xyxy[here], camera, shots.poses[image])
             self._seen_ns[rows] = stamp_ns
         self.places.settle(stamp_ns)
         if len(self._keys) > _MAX_LIGHTS:
@@ -54,8 +56,18 @@ class PlaceBook:
 
     def place(self, map_id: str | None, track_id: int) -> tuple[FloatArray, FloatArray] | None:
         """(3,) metres and (3, 3) m² of a light, by its name in the map or by its track; None if nothing is known."""
-        row = self._row_of_key.get(-1 - track_id if map_id is None else self._row_of_id[map_id])
-        return None if row is None else (self.places.positions[row], self.places.covariances[row])
+        if map_id is None:
+            row = self._row_of_track.get(track_id, -1)
+        else:
+            row = int(self._row_of_light[self._lights.ids.index(map_id)])
+        return None if row < 0 else (self.places.positions[row], self.places.covariances[row])
+
+    def rows_of(self, map_rows: IntArray, track_ids: IntArray) -> IntArray:
+        """(n,) rows of `places`, −1 where nothing is known, of lights by (n,) rows of the map, or by track where < 0."""
+        rows = self._row_of_light[map_rows]
+        for i in np.flatnonzero(map_rows < 0).tolist():
+            rows[i] = self._row_of_track.get(int(track_ids[i]), -1)
+        return rows
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values."""
@@ -74,35 +86,54 @@ class PlaceBook:
             KeyError: If a light is not on the map.
             ValueError: If it is of other cameras, or damaged.
         """
-        keys = [self._row_of_id[light] if isinstance(light, str) else int(light) for light in values["lights"]]
+        row_of_id = {light_id: row for row, light_id in enumerate(self._lights.ids)}
+        keys = [row_of_id[light] if isinstance(light, str) else int(light) for light in values["lights"]]
         self.places.restore(values["places"])
-        self._keys = keys
-        self._row_of_key = {key: row for row, key in enumerate(keys)}
+        self._index(keys)
         self._sizes_m = np.array(values["sizes_m"], dtype=np.float64).reshape(-1, 3)
         self._seen_ns = np.array(values["seen_ns"], dtype=np.int64)
 
     def _rows(self, known: IntArray, unmapped: TrafficLightMap) -> IntArray:
         """Rows of lights, which begin where they are new; `known` counts map lights, then unmapped ones."""
         count = len(self._lights)
-        keys = [row if row < count else -1 - int(unmapped.ids[row - count]) for row in known.tolist()]
-        for key, row in zip(keys, known.tolist(), strict=True):
-            on_map = row < count
-            source, i = (self._lights, row) if on_map else (unmapped, row - count)
-            if key not in self._row_of_key:
-                self._row_of_key[key] = len(self._keys)
-                self._keys.append(key)
-                one = slice(i, i + 1)
-                self.places.append(source.positions[one], source.headings_deg[one], source.sizes_m[one], on_map=on_map)
-                self._sizes_m = np.concatenate([self._sizes_m, source.sizes_m[one]])
-                self._seen_ns = np.append(self._seen_ns, 0)
-            elif not on_map and not np.array_equal(self._sizes_m[self._row_of_key[key]], source.sizes_m[i]):
-                place = self._row_of_key[key]
-                self._sizes_m[place] = source.sizes_m[i]
-                self.places.restart(place, float(source.headings_deg[i]), source.sizes_m[i])
-        return np.array([self._row_of_key[key] for key in keys])
+        rows = self._row_of_light[np.minimum(known, count)]
+        for i in np.flatnonzero(known >= count).tolist():
+            light = int(known[i]) - count
+            rows[i] = self._row_of_unmapped(int(unmapped.ids[light]), unmapped, light)
+        for i in np.flatnonzero(rows < 0).tolist():
+            light = int(known[i])
+            if self._row_of_light[light] < 0:
+                self._row_of_light[light] = self._append(light, self._lights, light)
+            rows[i] = self._row_of_light[light]
+        return rows
+
+    def _row_of_unmapped(self, track: int, unmapped: TrafficLightMap, light: int) -> int:
+        row = self._row_of_track.get(track)
+        if row is None:
+            row = self._row_of_track[track] = self._append(-1 - track, unmapped, light)
+        elif self._sizes_m[row].tolist() != unmapped.sizes_m[light].tolist():
+            self._sizes_m[row] = unmapped.sizes_m[light]
+            self.places.restart(row, float(unmapped.headings_deg[light]), unmapped.sizes_m[light])
+        return row
+
+    def _append(self, key: int, source: TrafficLightMap, light: int) -> int:
+        self._keys.append(key)
+        one = slice(light, light + 1)
+        self.places.append(source.positions[one], source.headings_deg[one], source.sizes_m[one], on_map=key >= 0)
+        self._sizes_m = np.concatenate([self._sizes_m, source.sizes_m[one]])
+        self._seen_ns = np.append(self._seen_ns, 0)
+        return len(self._keys) - 1
+
+    def _index(self, keys: list[int]) -> None:
+        """Note which row belongs to which key."""
+        self._row_of_light[[key for key in self._keys if key >= 0]] = -1
+        self._keys = keys
+        self._row_of_track = {-1 - key: row for row, key in enumerate(keys) if key < 0}
+        for row, key in enumerate(keys):
+            if key >= 0:
+                self._row_of_light[key] = row
 
     def _keep(self, rows: IntArray) -> None:
         self.places.keep(rows)
-        self._keys = [self._keys[row] for row in rows.tolist()]
-        self._row_of_key = {key: row for row, key in enumerate(self._keys)}
+        self._index([self._keys[row] for row in rows.tolist()])
         self._sizes_m, self._seen_ns = self._sizes_m[rows], self._seen_ns[rows]

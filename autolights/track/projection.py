@@ -1,7 +1,7 @@
 """Where a camera should see the lights that are known: map light + pose → image box (Wu et al. 2023, Sec. III-B)."""
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,7 @@ class ProjectedLights:
     def __len__(self) -> int:
         return len(self.indices)
 
-    def shifted(self, shifts_px: FloatArray) -> "ProjectedLights":
+    def shifted(self, shifts_px: FloatArray) -> Self:
         """The same lights (n, 2) pixels farther right and down."""
         return replace(self, boxes_xyxy=self.boxes_xyxy + np.tile(shifts_px, 2))
 

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from autolights.core import CameraView, FloatArray, LightEstimate, SignalSet, TrafficLightMap
+from autolights.core import CameraView, FloatArray, IntArray, LightEstimate, SignalSet, TrafficLightMap
 from autolights.track.config import TrackConfig
+from autolights.track.place_book import PlaceBook
 from autolights.track.states import Reports
 from autolights.track.track_table import TrackTable
 
@@ -33,6 +34,7 @@ class Reporter:
         views: Mapping[int, Sequence[CameraView]],
         vehicle: FloatArray,
         set_ns: int,
+        places: PlaceBook | None = None,
     ) -> list[LightEstimate]:
         """Estimates of the lights that were born and are in view or were seen lately, in the order of their ids.
 
@@ -42,17 +44,14 @@ class Reporter:
             views: By row: where cameras saw it, or should have.
             vehicle: (3,) metres: where the vehicle is.
             set_ns: Stamp of the set.
+            places: Where lights stand, as far as it knows better.
         """
         in_view = np.zeros(len(table), dtype=bool)
         in_view[list(views)] = True
         rows = np.flatnonzero(table.known & (in_view | (table.age_s(set_ns) <= self._config.max_coast_s)))
         withheld = table.stale(set_ns, self._config) | reports.doubtful
-        positions = table.positions[rows]
+        positions, covariances = self._places(table, rows, places)
         offsets = positions - vehicle
-        unmapped = np.flatnonzero(table.map_rows[rows] < 0)
-        covariances: list[FloatArray | None] = [None] * len(rows)
-        for i, covariance in zip(unmapped.tolist(), np.linalg.inv(table.information[rows[unmapped]]), strict=True):
-            covariances[i] = covariance
         columns = zip(
             rows.tolist(),
             table.ids[rows].tolist(),
@@ -99,6 +98,24 @@ class Reporter:
                 seen_ns,
             ) in columns
         ]
+
+    def _places(
+        self, table: TrackTable, rows: IntArray, places: PlaceBook | None
+    ) -> tuple[FloatArray, list[FloatArray | None]]:
+        """(k, 3) metres of these tracks, and (3, 3) m² of each; None where nothing is known of a surveyed place."""
+        positions, map_rows = table.positions[rows], table.map_rows[rows]
+        covariances: list[FloatArray | None] = [None] * len(rows)
+        unknown = np.arange(len(rows))
+        if places is not None:
+            found = places.rows_of(map_rows, table.ids[rows])
+            unknown, known = np.flatnonzero(found < 0), np.flatnonzero(found >= 0)
+            positions[known] = places.places.positions[found[known]]
+            for i, covariance in zip(known.tolist(), places.places.covariances[found[known]], strict=True):
+                covariances[i] = covariance
+        unmapped = unknown[map_rows[unknown] < 0]
+        for i, covariance in zip(unmapped.tolist(), np.linalg.inv(table.information[rows[unmapped]]), strict=True):
+            covariances[i] = covariance
+        return positions, covariances
 
     def explain(self, table: TrackTable, reports: Reports | None, set_ns: int) -> list[dict[str, Any]]:
         """Life and rule of each track, as JSON-ready values."""

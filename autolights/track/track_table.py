@@ -135,14 +135,16 @@ class TrackTable:
         """Average in localisations of unmapped lights, each weighted by what it says (a static Kalman filter).
 
         Args:
-            rows: (m,) each at most once.
+            rows: (m,); one that several cameras saw may come several times.
             positions: (m, 3) metres.
             information: (m, 3, 3) 1/m².
         """
-        total = self.information[rows] + information
-        pull = np.einsum("mij,mj->mi", information, positions - self.positions[rows])
-        self.information[rows] = total
-        self.positions[rows] += np.linalg.solve(total, pull[..., None])[..., 0]
+        pulls = information @ (positions - self.positions[rows])[:, :, None]
+        each, of_each = np.unique(rows, return_inverse=True)
+        pull = np.zeros((len(each), 3, 1))
+        np.add.at(pull, of_each, pulls)
+        np.add.at(self.information, rows, information)
+        self.positions[each] += np.linalg.solve(self.information[each], pull)[..., 0]
 
     def to_json(self) -> dict[str, Any]:
         """All columns as JSON-ready values."""

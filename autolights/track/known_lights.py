@@ -1,0 +1,117 @@
+"""The lights that can come into view: those of the map around the vehicle, and those that only the images know."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from autolights.core import BoolArray, FloatArray, IntArray, TrafficLightMap
+from autolights.core.light_box import RANGE_MARGIN, light_corners
+from autolights.track.projection import ANY_TYPE, NameArray
+
+_WINDOW_M = 20.0  # the part of the map that is held ready reaches so much farther than any camera
+ANY_CODE = -1  # of a light whose type is still being voted on
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLights:
+    """n lights that stand still, ready to be projected.
+
+    Attributes:
+        rows: (n,) ascending rows of the map; unmapped lights count on from the map's length.
+        on_map: (n,) whether the map holds them.
+        types: (n,) names; `ANY_TYPE` matches all.
+        type_codes: (n,) their places among the types; `ANY_CODE` matches all.
+        origin: (3,) metres, map frame, near all of them.
+        positions: (3, n) metres from the origin.
+        corners: (3, 8, n) metres from the origin.
+        faces: (2, n) the way they look, east and north.
+    """
+
+    rows: IntArray
+    on_map: BoolArray
+    types: NameArray
+    type_codes: IntArray
+    origin: FloatArray
+    positions: FloatArray
+    corners: FloatArray
+    faces: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        lights: TrafficLightMap,
+        indices: IntArray,
+        type_names: Sequence[str],
+        origin: FloatArray,
+        *,
+        first_row: int,
+        on_map: bool,
+    ) -> Self:
+        """Some lights of a map, whose own rows count from `first_row`."""
+        types = [lights.types[i] for i in indices.tolist()]
+        positions, headings_deg = lights.positions[indices] - origin, lights.headings_deg[indices]
+        heading = np.radians(headings_deg)
+        code_of = {name: code for code, name in enumerate(type_names)} | {ANY_TYPE: ANY_CODE}
+        return cls(
+            rows=indices + first_row,
+            on_map=np.full(len(indices), on_map),
+            types=np.array(types, dtype=np.str_),
+            type_codes=np.array([code_of[name] for name in types], dtype=np.int64),
+            origin=origin,
+            positions=np.ascontiguousarray(positions.T),
+            corners=np.ascontiguousarray(light_corners(positions, headings_deg, lights.sizes_m[indices]).T),
+            faces=np.array([np.sin(heading), np.cos(heading)]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def and_also(self, more: "KnownLights") -> "KnownLights":
+        """These lights, then others with the same origin."""
+        return KnownLights(
+            rows=np.concatenate([self.rows, more.rows]),
+            on_map=np.concatenate([self.on_map, more.on_map]),
+            types=np.concatenate([self.types, more.types]),
+            type_codes=np.concatenate([self.type_codes, more.type_codes]),
+            origin=self.origin,
+            positions=np.concatenate([self.positions, more.positions], axis=1),
+            corners=np.concatenate([self.corners, more.corners], axis=2),
+            faces=np.concatenate([self.faces, more.faces], axis=1),
+        )
+
+
+class Surroundings:
+    """Keeps the known lights around the vehicle ready; a search of the map is due only after some metres.
+
+    Args:
+        lights: The map.
+        type_names: All types.
+        range_m: Of the camera that sees farthest.
+    """
+
+    def __init__(self, lights: TrafficLightMap, type_names: Sequence[str], range_m: float) -> None:
+        self._lights = lights
+        self._type_names = tuple(type_names)
+        self._reach_m = RANGE_MARGIN * range_m + _WINDOW_M
+        self._window: KnownLights | None = None
+        self._unmapped: TrafficLightMap | None = None
+        self._known: KnownLights | None = None
+
+    def around(self, position: FloatArray, unmapped: TrafficLightMap) -> KnownLights:
+        """The lights of the map within the cameras' reach of (3,) `position` and a little beyond, and all unmapped."""
+        window = self._window
+        if window is None or np.square(position - window.origin).sum() > (_WINDOW_M / 2) ** 2:
+            near = self._lights.within(position, self._reach_m)
+            window = KnownLights.of(self._lights, near, self._type_names, position, first_row=0, on_map=True)
+            self._window, self._known = window, None
+        if self._known is None or self._unmapped is not unmapped:
+            self._unmapped, self._known = unmapped, window
+            if len(unmapped):
+                every, first_row = np.arange(len(unmapped)), len(self._lights)
+                more = KnownLights.of(
+                    unmapped, every, self._type_names, window.origin, first_row=first_row, on_map=False
+                )
+                self._known = window.and_also(more)
+        return self._known

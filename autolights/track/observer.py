@@ -1,0 +1,189 @@
+"""Hold one set of images against the lights that are known: projection, alignment, association, localisation."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from autolights.core import BoolArray, CameraModel, Detections, FloatArray, IntArray, Pose, SignalSet, TrafficLightMap
+from autolights.core.boxes import cxcywh_columns
+from autolights.core.shots import Shots
+from autolights.track.alignment import Alignment, AlignmentConfig, CameraHealth, RigAlignment
+from autolights.track.association import Association, associate, costs_of
+from autolights.track.known_lights import ANY_CODE, Surroundings
+from autolights.track.lights_in_images import LightsInImages, project_known
+from autolights.track.localization import localize_in_images
+from autolights.track.new_lights import may_be_new
+from autolights.track.observation import SetObservation
+
+View: TypeAlias = tuple[CameraModel, Pose, Detections]
+
+
+class MatchConfig(NamedTuple):
+    """What makes a detection a known light, or a new one; see `PipelineConfig`."""
+
+    fusion_score_threshold: float
+    new_light_score_threshold: float
+    max_distance_px: float
+    max_distance_heights: float | None
+    misread_distance_heights: float
+
+
+class Observer:
+    """Knows the map, the cameras, and how far these are off.
+
+    Args:
+        lights: The map.
+        signals: The signal description.
+        cameras: By name.
+        config: Of pairs.
+        alignment: Of the common errors of an image; None takes calibration and poses as they are.
+    """
+
+    def __init__(
+        self,
+        lights: TrafficLightMap,
+        signals: SignalSet,
+        cameras: Mapping[str, CameraModel],
+        config: MatchConfig,
+        alignment: AlignmentConfig | None,
+    ) -> None:
+        self._map_length = len(lights)
+        self._cameras = dict(cameras)
+        self._config = config
+        self._alignment_config = alignment
+        self._alignment = self._new_alignment()
+        type_names = tuple(signals.types)
+        range_m = max((camera.max_range_m for camera in cameras.values()), default=1.0)
+        self._surroundings = Surroundings(lights, type_names, range_m)
+        self._class_types = np.array([type_names.index(signals.type_of[name]) for name in signals.classes])
+        self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
+
+    def project(self, camera: CameraModel, pose: Pose, unmapped: TrafficLightMap) -> LightsInImages:
+        """The known lights in one image, as calibration and pose have them."""
+        return project_known(self._surroundings.around(pose.position, unmapped), Shots.of([camera], [pose]))
+
+    def observe(self, views: Sequence[View], unmapped: TrafficLightMap) -> SetObservation:
+        """Hold images against the lights of the map and the unmapped ones.
+
+        Args:
+            views: Cameras, the vehicle's poses at their images' stamps, and all detections; at least one image.
+            unmapped: Lights that the map does not hold.
+        """
+        config = self._config
+        ordered = sorted(views, key=lambda view: (view[1].stamp_ns, view[0].name))
+        shots = Shots.of([camera for camera, _, _ in ordered], [pose for _, pose, _ in ordered])
+        detections, seen_in = self._taking_part([found for _, _, found in ordered])
+        lights = project_known(self._surroundings.around(ordered[-1][1].position, unmapped), shots)
+        known, seen = cxcywh_columns(lights.boxes_xyxy), cxcywh_columns(detections.boxes_xyxy)
+        fits = self._fits(lights, detections, seen_in)
+        alignment = self._align(shots, lights, known, seen, fits)
+        gates_px = None
+        if alignment is not None and self._alignment_config is not None:
+            lights = lights.shifted(alignment.shifts_px.T)
+            known[:2] += alignment.shifts_px
+            gates_px = self._alignment_config.gate * alignment.sigmas_px
+        cost = costs_of(
+            known,
+            seen,
+            fits,
+            max_distance_px=config.max_distance_px,
+            max_distance_heights=config.max_distance_heights,
+            gates_px=gates_px,
+        )
+        association = associate(cost, unmatched_cost=config.max_distance_px)
+        off_map = self._off_map(lights, association, len(detections))
+        positions = np.full((len(detections), 3), np.nan)
+        if len(off_map):
+            positions[off_map] = self._localized(seen, detections, off_map, seen_in, shots, alignment)
+        new = association.unmatched_detections
+        new = new[detections.scores[new] >= config.new_light_score_threshold]
+        if len(new):
+            may = may_be_new(
+                seen[:, new],
+                positions[new],
+                seen_in[new],
+                known,
+                lights.images,
+                shots,
+                misread_distance_heights=config.misread_distance_heights,
+            )
+            new = new[may]
+        return SetObservation(
+            shots, detections, seen_in, lights, lights.images, cost, association, positions, new_lights=new
+        )
+
+    def begin_anew(self) -> None:
+        """Forget the errors of cameras and poses: the clock was set back."""
+        self._alignment = self._new_alignment()
+
+    def health(self) -> dict[str, CameraHealth]:
+        """What each camera's images say of its calibration; empty without alignment."""
+        return {} if self._alignment is None else self._alignment.health()
+
+    def to_json(self) -> dict[str, Any]:
+        """All that is remembered, by camera, as JSON-ready values."""
+        return {} if self._alignment is None else self._alignment.to_json()
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Go on from where `to_json` left off.
+
+        Raises:
+            ValueError: If it is of other cameras, or of other settings of alignment.
+        """
+        ours = set() if self._alignment is None else set(self._cameras)
+        if set(values) != ours:
+            raise ValueError(f"alignment was saved of cameras {sorted(values)}, and is of {sorted(ours)} now")
+        if self._alignment is not None:
+            self._alignment.restore(values)
+
+    def _new_alignment(self) -> RigAlignment | None:
+        return RigAlignment(self._cameras, self._alignment_config) if self._alignment_config else None
+
+    def _taking_part(self, found: Sequence[Detections]) -> tuple[Detections, IntArray]:
+        """Detections whose score suffices, and the image of each."""
+        every = Detections.joined(found)
+        rows = np.flatnonzero(every.scores >= self._config.fusion_score_threshold)
+        return every[rows], np.arange(len(found)).repeat([len(one) for one in found])[rows]
+
+    def _fits(self, lights: LightsInImages, detections: Detections, seen_in: IntArray) -> BoolArray:
+        """(n, m) whether light and detection are of one image, and can be the same by their types."""
+        count = len(self._class_types)
+        keys = lights.images * count + lights.type_codes
+        fits = keys[:, None] == seen_in * count + self._class_types[detections.class_ids]
+        untyped = np.flatnonzero(lights.type_codes == ANY_CODE)
+        if len(untyped):
+            fits[untyped] = lights.images[untyped, None] == seen_in
+        return np.asarray(fits)
+
+    def _align(
+        self, shots: Shots, lights: LightsInImages, known: FloatArray, seen: FloatArray, fits: BoolArray
+    ) -> Alignment | None:
+        """The common error of each image; only lights of the map speak for it, the others were placed by it."""
+        if self._alignment is None:
+            return None
+        may_vote = fits & (lights.indices < self._map_length)[:, None]
+        return self._alignment.align(shots, known, lights.distances_m, lights.images, seen, may_vote)
+
+    def _off_map(self, lights: LightsInImages, association: Association, count: int) -> IntArray:
+        """Rows of the detections that are no lights of the map."""
+        off_map = np.ones(count, dtype=bool)
+        pairs = association.matches
+        off_map[pairs[lights.indices[pairs[:, 0]] < self._map_length, 1]] = False
+        return np.flatnonzero(off_map)
+
+    def _localized(
+        self,
+        seen: FloatArray,
+        detections: Detections,
+        rows: IntArray,
+        seen_in: IntArray,
+        shots: Shots,
+        alignment: Alignment | None,
+    ) -> FloatArray:
+        """(k, 3) metres: detections by the sizes of their types, with the common error taken off."""
+        sizes_m, images = self._class_sizes_m[detections.class_ids[rows]], seen_in[rows]
+        boxes = seen[:, rows]
+        if alignment is not None:
+            boxes[:2] -= alignment.shifts_of_seen(boxes, sizes_m[:, 1], images)
+        return localize_in_images(boxes, sizes_m, shots, images)
