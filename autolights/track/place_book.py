@@ -63,7 +63,7 @@ class PlaceBook:
         return None if row < 0 else (self.places.positions[row], self.places.covariances[row])
 
     def rows_of(self, map_rows: IntArray, track_ids: IntArray) -> IntArray:
-        """(n,) rows of `places`, −1 where nothing is known, of lights by (n,) rows of the map, or by track where < 0."""
+        """(n,) rows of `places`, −1 where nothing is known, by (n,) rows of the map; where negative by (n,) tracks."""
         rows = self._row_of_light[map_rows]
         for i in np.flatnonzero(map_rows < 0).tolist():
             rows[i] = self._row_of_track.get(int(track_ids[i]), -1)

@@ -200,7 +200,8 @@ def two_camera_drive(seed: int) -> list[tuple[Shots, list[np.ndarray]]]:
             images.append(np.full(9, image))
             there = rng.random(9) > 0.1
             detected = boxes_of(places - way, camera, turned_deg=turns[image])[there]
-            detected = np.concatenate([detected + rng.normal(0, 1, detected.shape), detected[:1] + np.array([40, 3, 40, 3])])
+            stray = detected[:1] + np.array([40.0, 3, 40, 3])
+            detected = np.concatenate([detected + rng.normal(0, 1, detected.shape), stray])
             seen.append(detected)
             seen_types.append(np.append(types[there], rng.integers(0, 3)))
             seen_in.append(np.full(len(detected), image))
