@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -39,7 +40,6 @@ class TrafficLightMap:
     groups: tuple[str, ...] = ()
     lanes: tuple[tuple[str, ...], ...] = ()
     lane_lines: Mapping[str, FloatArray] = field(default_factory=dict)
-    _tree: cKDTree | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -65,7 +65,10 @@ class TrafficLightMap:
         for lane, line in self.lane_lines.items():
             if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not np.isfinite(line).all():
                 raise MapError(f"lane '{lane}' needs a line of two points or more, got an array of shape {line.shape}")
-        object.__setattr__(self, "_tree", cKDTree(self.positions) if n else None)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.positions)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -86,6 +89,13 @@ class TrafficLightMap:
 
     def within(self, position: FloatArray, radius_m: float) -> IntArray:
         """(k,) ascending indices of the lights at most `radius_m` from (3,) `position`."""
-        if self._tree is None:
+        if not len(self):
             return np.empty(0, dtype=np.int64)
-        return np.array(sorted(self._tree.query_ball_point(position, radius_m)), dtype=np.int64)
+        return np.sort(np.array(self._tree.query_ball_point(position, radius_m), dtype=np.int64))
+
+    def at(self, positions: FloatArray) -> "TrafficLightMap":
+        """The same lights at (n, 3) other places, which a filter made: they are not checked."""
+        moved = object.__new__(TrafficLightMap)
+        moved.__dict__.update({name: value for name, value in vars(self).items() if name != "_tree"})
+        moved.__dict__["positions"] = positions
+        return moved

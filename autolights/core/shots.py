@@ -29,7 +29,8 @@ class Optics:
         focal_px: (2, s) fx and fy.
         skew_px: (s,).
         centre_px: (2, s) principal points; as of points, (0, 0) is the centre of the top-left pixel.
-        distortion: (8, s, 1) k1 k2 p1 p2 k3 k4 k5 k6, zeros where a camera has fewer.
+        radial: (6, s, 1) k1 k2 k3 k4 k5 k6, zeros where a camera has fewer.
+        tangential: (2, s, 1) p2 and p1, those of x and of y.
         max_radius2: (s, 1) squares of `CameraModel.max_radius`.
         size_wh: (2, s) pixels.
         range_m: (s,).
@@ -41,12 +42,14 @@ class Optics:
     focal_px: FloatArray
     skew_px: FloatArray
     centre_px: FloatArray
-    distortion: FloatArray
+    radial: FloatArray
+    tangential: FloatArray
     max_radius2: FloatArray
     size_wh: FloatArray
     range_m: FloatArray
     cam_from_ins: FloatArray
     lens: FloatArray
+    is_skewed: bool
     is_distorted: bool
     is_rational: bool
 
@@ -64,12 +67,14 @@ class Optics:
             focal_px=np.array([k[:, 0, 0], k[:, 1, 1]]),
             skew_px=k[:, 0, 1].copy(),
             centre_px=np.array([k[:, 0, 2], k[:, 1, 2]]),
-            distortion=distortion[:, :, None],
+            radial=distortion[[0, 1, 4, 5, 6, 7], :, None],
+            tangential=distortion[[3, 2], :, None],
             max_radius2=np.array([[camera.max_radius**2] for camera in cameras]),
             size_wh=np.array([camera.size_wh for camera in cameras], dtype=np.float64).T.copy(),
             range_m=np.array([camera.max_range_m for camera in cameras]),
             cam_from_ins=mounting[:, :3, :3].copy(),
             lens=-(mounting[:, :3, :3].swapaxes(1, 2) @ mounting[:, :3, 3:])[..., 0],
+            is_skewed=bool(k[:, 0, 1].any()),
             is_distorted=bool(distortion.any()),
             is_rational=bool(distortion[5:].any()),
         )
@@ -113,26 +118,27 @@ class Shots:
             origin: (3,) metres, map frame, near the vehicle: so no digits are lost.
 
         Returns:
-            (s, 2, n) left and top edges, (s, 2, n) right and bottom ones, in pixels; NaN where a corner does not
+            (2, s, n) left and top edges, (2, s, n) right and bottom ones, in pixels; NaN where a corner does not
             project.
         """
-        s, (_, c, n) = len(self), corners.shape
+        s, (_, c, n), optics = len(self), corners.shape, self.optics
         rotation = self.cam_from_utm
         points = rotation @ corners.reshape(3, c * n)
         points -= rotation @ (self.lens - origin)[:, :, None]
         depth = points[:, 2]
-        scale = np.divide(1.0, depth, out=np.full_like(depth, np.nan), where=depth > 0)
-        x: FloatArray = points[:, 0] * scale
-        y: FloatArray = points[:, 1] * scale
-        optics = self.optics
+        behind = depth <= 0
+        if np.count_nonzero(behind):
+            depth[behind] = np.nan
+        rays: FloatArray = points.swapaxes(0, 1)[:2] / depth  # (2, s, c n): x / z and y / z
         if optics.is_distorted:
-            x, y = _distorted(x, y, optics)
-        (fx, fy), (cx, cy) = optics.focal_px[..., None], optics.centre_px[..., None]
+            rays = _distorted(rays, optics)
+        pixels = optics.focal_px[:, :, None] * rays
+        if optics.is_skewed:
+            pixels[0] += optics.skew_px[:, None] * rays[1]
         # Half a pixel: points count from the centre of the top-left pixel, boxes from its corner.
-        pixels = np.empty((s, 2, c, n))
-        pixels[:, 0] = (fx * x + optics.skew_px[:, None] * y + (cx + 0.5)).reshape(s, c, n)
-        pixels[:, 1] = (fy * y + (cy + 0.5)).reshape(s, c, n)
-        return pixels.min(axis=2), pixels.max(axis=2)
+        pixels += (optics.centre_px + 0.5)[:, :, None]
+        outlines = pixels.reshape(2, s, c, n)
+        return np.minimum.reduce(outlines, axis=2), np.maximum.reduce(outlines, axis=2)
 
     def normalized(self, points_px: FloatArray, images: IntArray) -> FloatArray:
         """`core.camera.normalized_points` of points in different images.
@@ -145,9 +151,11 @@ class Shots:
             (2, n) x / z and y / z as the lens has bent them.
         """
         optics = self.optics
-        (x, y), (fx, fy) = points_px - optics.centre_px[:, images], optics.focal_px[:, images]
-        y = y / fy
-        return np.array([(x - optics.skew_px[images] * y) / fx, y])
+        points = points_px - optics.centre_px.take(images, axis=1)
+        points /= optics.focal_px.take(images, axis=1)
+        if optics.is_skewed:
+            points[0] -= (optics.skew_px / optics.focal_px[0]).take(images) * points[1]
+        return points
 
     def back_project(self, points_px: FloatArray, images: IntArray) -> FloatArray:
         """`core.camera.back_project` of points in different images.
@@ -170,13 +178,21 @@ class Shots:
         return points
 
 
-def _distorted(x: FloatArray, y: FloatArray, optics: Optics) -> tuple[FloatArray, FloatArray]:
-    """(s, n) points x / z and y / z as the lenses bend them; NaN beyond the radius up to which they are one to one."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = optics.distortion
-    r2 = x * x + y * y
-    r2[~(r2 < optics.max_radius2)] = np.nan
+def _distorted(rays: FloatArray, optics: Optics) -> FloatArray:
+    """(2, s, n) points p = (x / z, y / z) as the lenses bend them; NaN beyond the radius to which they are one to one.
+
+    Brown-Conrady's tangential part, 2 p1 x y + p2 (r² + 2 x²) and 2 p2 x y + p1 (r² + 2 y²), is 2 t p + r² (p2, p1)
+    with t = p2 x + p1 y.
+    """
+    k1, k2, k3, k4, k5, k6 = optics.radial
+    squares = rays * rays
+    r2 = squares[0] + squares[1]
+    outside = r2 >= optics.max_radius2
+    if np.count_nonzero(outside):
+        r2[outside] = np.nan
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     if optics.is_rational:
         radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    xy2 = 2 * x * y
-    return x * radial + p1 * xy2 + p2 * (r2 + 2 * x * x), y * radial + p2 * xy2 + p1 * (r2 + 2 * y * y)
+    tilted = optics.tangential * rays
+    radial += 2 * (tilted[0] + tilted[1])
+    return np.asarray(rays * radial + optics.tangential * r2)

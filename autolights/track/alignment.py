@@ -129,7 +129,7 @@ class RigAlignment:
         distances_m: FloatArray,
         known_in: IntArray,
         seen: FloatArray,
-        fits: BoolArray,
+        pairs: tuple[IntArray, IntArray],
     ) -> Alignment:
         """Take in one set of images.
 
@@ -139,25 +139,29 @@ class RigAlignment:
             distances_m: (n,) of these lights.
             known_in: (n,) which image each lies in, ascending.
             seen: (4, m) the same of detections.
-            fits: (n, m) whether light and detection may be the same and may vote: of one image, and of one type.
+            pairs: (k,) lights, ascending, and (k,) detections that may be the same and may vote: of one image, and of
+                one type.
 
         Returns:
             The error found. An image with an earlier stamp than one before is aligned, but teaches nothing.
         """
         config = self._config
         cameras = np.array([self._row_of[camera.name] for camera in shots.optics.cameras])
-        errors, covariances = self._errors[cameras], self._predicted(cameras, shots)
+        errors, covariances = self._errors.take(cameras, axis=0), self._predicted(cameras, shots)
         effect = ErrorEffect.of(known[:2], distances_m, shots, known_in)
         sigmas_px = np.hypot(config.box_px, config.map_m * effect.focal_px[1] * effect.nearness)
-        pairs: IntArray = np.zeros(len(shots), dtype=np.int64)
-        gram = effect.gram()
-        if fits.any():
-            problem = _Pairs(effect, gram, known, seen, fits, sigmas_px, effect.shifts_px(errors))
-            changes, covariances, pairs, sure = problem.solve(covariances)
-            errors = errors + changes
-            self._learn(cameras[sure], shots, np.flatnonzero(sure), errors, covariances)
+        gram, shifts_px = effect.gram(), effect.shifts_px(errors)
+        lights, detections = _alike(known[3], seen[3], *pairs)
+        agreeing: IntArray = np.zeros(len(shots), dtype=np.int64)
+        if len(lights):
+            offsets_px = seen[:2].take(detections, axis=1) - (known[:2] + shifts_px).take(lights, axis=1)
+            problem = _Problem(effect, gram, sigmas_px, lights, detections, offsets_px)
+            changes, covariances, agreeing, sure = problem.solve(covariances)
+            errors += changes
+            shifts_px = effect.shifts_px(errors)
+            self._learn(cameras, shots, sure.nonzero()[0], errors, covariances)
         left_px2 = _trace(gram, effect.turn_covariances(covariances)) / 2  # mean over the two axes
-        return Alignment(shots, errors, effect.shifts_px(errors), np.sqrt(sigmas_px**2 + left_px2), pairs)
+        return Alignment(shots, errors, shifts_px, np.sqrt(sigmas_px * sigmas_px + left_px2), agreeing)
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, by camera, as JSON-ready values."""
@@ -183,49 +187,47 @@ class RigAlignment:
 
     def _predicted(self, cameras: IntArray, shots: Shots) -> FloatArray:
         """(s, 4, 4) covariances before the images, never wider than at the start."""
-        elapsed_s = np.array(
-            [
-                0.0 if before is None else max(pose.stamp_ns - before, 0) / 1e9
-                for before, pose in zip((self._stamps_ns[row] for row in cameras.tolist()), shots.poses, strict=True)
-            ]
-        )
-        wider = self._covariances[cameras]
+        stamps_ns = [self._stamps_ns[row] for row in cameras.tolist()]
+        elapsed_s = [
+            0.0 if before is None else max(pose.stamp_ns - before, 0) / 1e9
+            for before, pose in zip(stamps_ns, shots.poses, strict=True)
+        ]
+        wider = self._covariances.take(cameras, axis=0)
         diagonal = wider.reshape(-1, 16)[:, ::5]  # a view: the drift is added on the diagonals
-        diagonal += self._drift * elapsed_s[:, None]
+        diagonal += self._drift * np.array(elapsed_s)[:, None]
         shrink = np.sqrt(np.minimum(1.0, self._start / diagonal))
         return np.asarray(wider * (shrink[:, :, None] * shrink[:, None, :]))
 
     def _learn(
         self, cameras: IntArray, shots: Shots, images: IntArray, errors: FloatArray, covariances: FloatArray
     ) -> None:
-        for row, image in zip(cameras.tolist(), images.tolist(), strict=True):
-            before, stamp_ns = self._stamps_ns[row], shots.poses[image].stamp_ns
+        for image in images.tolist():
+            row, stamp_ns = int(cameras[image]), shots.poses[image].stamp_ns
+            before = self._stamps_ns[row]
             if before is None or stamp_ns >= before:
                 self._errors[row], self._covariances[row] = errors[image], covariances[image]
                 self._stamps_ns[row] = stamp_ns
 
 
 @dataclass(frozen=True, eq=False)
-class _Pairs:
+class _Problem:
     """The pairs of one set of images that may be, and the error that explains most of them.
 
     Attributes:
         effect: Of errors on n lights.
         gram: (3, n) of it.
-        known: (4, n) their boxes.
-        seen: (4, m) boxes of detections.
-        fits: (n, m) pairs that may be.
         sigmas_px: (n,) of a pair with the right error.
-        shifts_px: (2, n) by the error that was known before.
+        lights: (k,) of pairs that may be, ascending.
+        detections: (k,) of the same pairs.
+        offsets_px: (2, k) from the light, moved by the error that was known before, to the detection.
     """
 
     effect: ErrorEffect
     gram: FloatArray
-    known: FloatArray
-    seen: FloatArray
-    fits: BoolArray
     sigmas_px: FloatArray
-    shifts_px: FloatArray
+    lights: IntArray
+    detections: IntArray
+    offsets_px: FloatArray
 
     def solve(self, priors: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Find the errors of s images.
@@ -237,35 +239,25 @@ class _Pairs:
             (s, 4) changes, (s, 4, 4) their covariances, (s,) numbers of pairs that agree, (s,) whether they are beyond
             doubt.
         """
-        images, (dx, dy) = self.effect.images, self._offsets()
-        like = self.fits & _alike(self.known[3], self.seen[3])
-        squares = np.where(like, (dx * dx + dy * dy) / (self.sigmas_px**2)[:, None], np.inf)
+        images, apart = self.effect.images, self.offsets_px * self.offsets_px
+        distances = np.sqrt(apart[0] + apart[1]) / self.sigmas_px.take(self.lights)
         reach = self._reach(priors)
         # The vote looks at errors within SEARCH_SIGMAS only, and these move a light by `reach` at most: whatever wins,
         # a pair farther apart than this is none, and one closer than that is one, if neither has another to choose.
-        lights, detections = np.nonzero(squares < ((MATCH_SIGMAS + reach) ** 2)[:, None])
-        contested = (np.bincount(lights)[lights] > 1) | (np.bincount(detections)[detections] > 1)
-        vague = np.sqrt(squares[lights, detections]) >= MATCH_SIGMAS - reach[lights]
-        doubtful = np.zeros(len(priors), dtype=bool)
-        doubtful[images[lights[contested | vague]]] = True
+        reached = reach.take(self.lights)
+        close = (distances < MATCH_SIGMAS + reached).nonzero()[0]
+        lights, detections = self.lights.take(close), self.detections.take(close)
+        contested = (np.bincount(lights).take(lights) > 1) | (np.bincount(detections).take(detections) > 1)
+        vague = distances.take(close) >= MATCH_SIGMAS - reached.take(close)
         # Two errors that move some light apart by more than this may both be right: that is for the vote to judge.
-        doubtful[images[2 * reach > AMBIGUOUS_SIGMAS]] = True
+        apart_by_reach = 2 * reach > AMBIGUOUS_SIGMAS
+        doubtful = {*images.take(lights[contested | vague]).tolist(), *images[apart_by_reach].tolist()}
 
-        changes, covariances, pairs = self._fit(lights, detections, dx, dy, priors)
+        changes, covariances, pairs = self._fit(close, priors)
         sure = pairs > 0
-        for image in np.flatnonzero(doubtful).tolist():
-            mine = np.flatnonzero(images == image)
-            columns = np.flatnonzero(like[mine].any(axis=0))
-            jacobians = self.effect.jacobians()[mine]
-            offsets = np.stack([dx[np.ix_(mine, columns)], dy[np.ix_(mine, columns)]], axis=2)
-            found = vote(offsets, like[np.ix_(mine, columns)], jacobians, self.sigmas_px[mine], priors[image])
-            changes[image], covariances[image], pairs[image], sure[image] = found
+        for image in doubtful:
+            changes[image], covariances[image], pairs[image], sure[image] = self._vote(image, priors[image])
         return changes, covariances, pairs, sure
-
-    def _offsets(self) -> tuple[FloatArray, FloatArray]:
-        """(n, m) pixels right and down from each light to each detection."""
-        x, y = self.known[:2] + self.shifts_px
-        return self.seen[0] - x[:, None], self.seen[1] - y[:, None]
 
     def _reach(self, priors: FloatArray) -> FloatArray:
         """(n,) how far any error that the vote looks at moves a light, in standard deviations of a pair.
@@ -273,46 +265,67 @@ class _Pairs:
         For eᵀ P⁻¹ e ≤ k² it is |J e| ≤ k √λ, λ the larger eigenvalue of J P Jᵀ; that of Q G, with the covariance Q of
         angles, is the same: λ = t / 2 + √(t² / 4 − det Q det G), t = tr Q G.
         """
-        q_xx, q_xy, q_yy = q = self.effect.turn_covariances(priors)
-        g_xx, g_xy, g_yy = self.gram
-        half = _trace(self.gram, q) / 2
-        determinant = (q_xx * q_yy - q_xy * q_xy) * (g_xx * g_yy - g_xy * g_xy)
+        covariances = self.effect.turn_covariances(priors)
+        half = _trace(self.gram, covariances) / 2
+        determinant = _determinant(covariances) * _determinant(self.gram)
         largest = half + np.sqrt(np.maximum(half * half - determinant, 0.0))
         return np.asarray(SEARCH_SIGMAS * np.sqrt(largest) / self.sigmas_px)
 
-    def _fit(
-        self, lights: IntArray, detections: IntArray, dx: FloatArray, dy: FloatArray, priors: FloatArray
-    ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Weighted least squares over k pairs, with the priors as one more equation for each image.
+    def _fit(self, chosen: IntArray, priors: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Weighted least squares over some of the pairs, with the priors as one more equation for each image.
 
         Of a pair, JᵀJ = [[G, G / d], [G / d, G / d²]] and Jᵀ o = [Aᵀ o, Aᵀ o / d].
         """
-        s, k, chosen = len(priors), len(lights), self.effect.take(lights)
-        pulls = chosen.pulled_back(np.array([dx[lights, detections], dy[lights, detections]]))
-        g_xx, g_xy, g_yy = self.gram[:, lights]
-        terms = np.array([g_xx, g_xy, g_xy, g_yy, *pulls])  # (6, k)
-        mine = (chosen.images == np.arange(s)[:, None]) / self.sigmas_px[lights] ** 2  # (s, k)
-        weights = np.array([mine, mine * chosen.nearness, mine * chosen.nearness**2]).reshape(3 * s, k)
-        sums = (weights @ terms.T).reshape(3, s, 6)
-        gram = sums[:, :, :4].reshape(3, s, 2, 2)
-        information = np.empty((s, 4, 4))
-        information[:, :2, :2], information[:, 2:, 2:] = gram[0], gram[2]
-        information[:, :2, 2:] = information[:, 2:, :2] = gram[1]
+        s, lights = len(priors), self.lights.take(chosen)
+        effect = self.effect.take(lights)
+        terms = np.empty((3, 5, len(lights)))  # powers of 1 / d; the elements of G, then Aᵀ o
+        terms[0, :3] = self.gram.take(lights, axis=1)
+        terms[0, 3:] = effect.pulled_back(self.offsets_px.take(chosen, axis=1))
+        terms[0] /= np.square(self.sigmas_px.take(lights))
+        np.multiply(terms[0], effect.nearness, out=terms[1])
+        np.multiply(terms[1], effect.nearness, out=terms[2])
+        sums = (terms.reshape(15, -1) @ np.eye(s).take(effect.images, axis=0)).T  # (s, 15)
+        information = sums.take(_INFORMATION, axis=1)
         covariances = np.linalg.inv(np.linalg.inv(priors) + information)
-        towards = np.concatenate([sums[0, :, 4:], sums[1, :, 4:]], axis=1)
-        pairs = np.count_nonzero(mine, axis=1)
-        alone = pairs == 0
-        if alone.any():
+        pairs = np.bincount(effect.images, minlength=s)
+        alone = (pairs == 0).nonzero()[0]
+        if len(alone):
             covariances[alone] = priors[alone]
-        return (covariances @ towards[:, :, None])[..., 0], covariances, pairs
+        return (covariances @ sums.take(_PULL, axis=1)[:, :, None])[..., 0], covariances, pairs
+
+    def _vote(self, image: int, prior: FloatArray) -> tuple[FloatArray, FloatArray, int, bool]:
+        """Let all pairs of one image vote."""
+        lights = (self.effect.images == image).nonzero()[0]
+        mine = (self.effect.images.take(self.lights) == image).nonzero()[0]
+        detections, columns = np.unique(self.detections.take(mine), return_inverse=True)
+        rows = self.lights.take(mine) - (lights[0] if len(lights) else 0)
+        like = np.zeros((len(lights), len(detections)), dtype=bool)
+        offsets = np.zeros((*like.shape, 2))
+        like[rows, columns] = True
+        offsets[rows, columns] = self.offsets_px.take(mine, axis=1).T
+        return vote(offsets, like, self.effect.take(lights).jacobians(), self.sigmas_px.take(lights), prior)
+
+
+# Where in the sums of `_Problem._fit` the elements of JᵀJ stand, and those of Jᵀ o.
+_INFORMATION = np.array([[0, 1, 5, 6], [1, 2, 6, 7], [5, 6, 10, 11], [6, 7, 11, 12]])
+_PULL = np.array([3, 4, 8, 9])
 
 
 def _trace(a: FloatArray, b: FloatArray) -> FloatArray:
     """(n,) traces of the products of symmetric matrices, given by (3, n) elements xx, xy, yy."""
-    return np.asarray(a[0] * b[0] + 2 * a[1] * b[1] + a[2] * b[2])
+    products = a * b
+    return np.asarray(products[0] + 2 * products[1] + products[2])
 
 
-def _alike(heights_a: FloatArray, heights_b: FloatArray) -> BoolArray:
-    """(n, m) whether boxes are about equally high."""
-    ratio = heights_a[:, None] / np.maximum(heights_b, 1e-9)
-    return np.asarray((ratio < MAX_HEIGHT_RATIO) & (ratio > 1 / MAX_HEIGHT_RATIO))
+def _determinant(a: FloatArray) -> FloatArray:
+    """(n,) of symmetric matrices, given by (3, n) elements xx, xy, yy."""
+    return np.asarray(a[0] * a[2] - a[1] * a[1])
+
+
+def _alike(
+    heights_a: FloatArray, heights_b: FloatArray, rows_a: IntArray, rows_b: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Those of the pairs whose boxes are about equally high."""
+    ratio = heights_a.take(rows_a) / np.maximum(heights_b.take(rows_b), 1e-9)
+    alike = ((ratio < MAX_HEIGHT_RATIO) & (ratio > 1 / MAX_HEIGHT_RATIO)).nonzero()[0]
+    return rows_a.take(alike), rows_b.take(alike)

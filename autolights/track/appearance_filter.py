@@ -54,7 +54,7 @@ class AppearanceFilter:
     first: FloatArray
     _found: FloatArray
     _ones: FloatArray
-    _steps: dict[int, tuple[float, FloatArray, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
+    _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, chain: HiddenChain, params: HmmParameters, *, error_duration_s: float) -> Self:
@@ -89,23 +89,22 @@ class AppearanceFilter:
             if len(self._steps) >= _CACHED:
                 del self._steps[next(iter(self._steps))]
             step = self._steps[duration_ms] = self._step(duration_ms)
-        rho, change, stay, jump = step
+        rho, both, stay = step
         n, c, k = beliefs.shape
-        moved = np.empty((n, c, k))
-        np.matmul(beliefs[:, :-1], stay, out=moved[:, :-1])
-        seen, missed = self._ones @ beliefs, beliefs[:, -1]
-        jumped = seen @ jump
-        seen, missed = seen @ change, missed @ change
-        fresh = (1 - rho) * (seen + missed)
-        moved[:, :-1] += (fresh * self._found + jumped)[:, None, :] * self.looks_if_seen
+        # One product for all lights and appearances costs less than one for each light; that of "missed" is not used.
+        moved = (beliefs.reshape(n * c, k) @ stay).reshape(n, c, k)
+        seen = (self._ones @ beliefs) @ both  # A, then ρ (A − S)
+        missed = beliefs[:, -1] @ both[:, :k]
+        fresh = (1 - rho) * (seen[:, :k] + missed)
+        moved[:, :-1] += (fresh * self._found + seen[:, k:])[:, None, :] * self.looks_if_seen
         moved[:, -1] = rho * missed + fresh * self.looks[-1]
         return moved
 
-    def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """ρ, A, ρ S and ρ (A − S)."""
+    def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray]:
+        """ρ, A and ρ (A − S) side by side, and ρ S."""
         change, stay = self.chain.over(duration_ms)
         rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
-        return rho, change, rho * stay, rho * (change - stay).clip(min=0)
+        return rho, np.concatenate([change, rho * (change - stay).clip(min=0)], axis=1), rho * stay
 
     def update(self, beliefs: FloatArray, likelihood: FloatArray) -> FloatArray:
         """Take in what cameras saw at one instant.

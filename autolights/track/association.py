@@ -52,35 +52,41 @@ def association_cost(
     Returns:
         (n, m) pixels; +inf forbids a pair: too far apart, or of different types.
     """
-    return costs_of(
-        cxcywh_columns(projected.boxes_xyxy),
-        cxcywh_columns(detections.boxes_xyxy),
-        type_fits(projected, detections, class_types),
+    known, seen = cxcywh_columns(projected.boxes_xyxy), cxcywh_columns(detections.boxes_xyxy)
+    lights, columns = type_fits(projected, detections, class_types).nonzero()
+    cost = np.full((known.shape[1], seen.shape[1]), np.inf)
+    cost[lights, columns] = pair_costs(
+        known,
+        seen,
+        (lights, columns),
         max_distance_px=max_distance_px,
         max_distance_heights=max_distance_heights,
         gates_px=gates_px,
     )
+    return cost
 
 
-def costs_of(
+def pair_costs(
     known: FloatArray,
     seen: FloatArray,
-    fits: BoolArray,
+    pairs: tuple[IntArray, IntArray],
     *,
     max_distance_px: float,
     max_distance_heights: float | None = None,
     gates_px: FloatArray | None = None,
 ) -> FloatArray:
-    """`association_cost` of (4, n) and (4, m) centres, widths and heights, with (n, m) pairs that may be at all."""
-    left, down, wider, taller = known[:, :, None] - seen[:, None]
-    distance_px = np.sqrt(left * left + down * down + wider * wider + taller * taller)
+    """(k,) `association_cost` of (k,) lights and (k,) detections, given (4, n) and (4, m) centres, widths, heights."""
+    lights, detections = pairs
+    difference = known.take(lights, axis=1) - seen.take(detections, axis=1)
+    squares = difference * difference
+    distance_px = np.sqrt(squares[0] + squares[1] + squares[2] + squares[3])
     heights_px = known[3]
     limit_px = np.full(len(heights_px), max_distance_px)
     if max_distance_heights is not None:
         limit_px = np.minimum(limit_px, max_distance_heights * heights_px)
     if gates_px is not None:
         limit_px = np.minimum(limit_px, gates_px + _HIDDEN_HEIGHTS * heights_px)
-    return np.where(fits & (distance_px <= limit_px[:, None]), distance_px, np.inf)
+    return np.where(distance_px <= limit_px.take(lights), distance_px, np.inf)
 
 
 def type_fits(projected: ProjectedLights, detections: Detections, class_types: NameArray) -> BoolArray:
@@ -105,29 +111,55 @@ def associate(cost: FloatArray, *, unmatched_cost: float) -> Association:
         Wu et al. 2023, Sec. III-B: "infinite costs are considered invalid assignments and are ignored".
     """
     light_count, detection_count = cost.shape
-    # Whatever a pair costs beyond the price of leaving it, leaving it is as good: capped, infinity never reaches scipy,
-    # and the full assignment of the capped gains is the cheapest partial one.
-    rows, columns = np.nonzero(cost < unmatched_cost)
-    contested = (np.bincount(rows)[rows] > 1) | (np.bincount(columns)[columns] > 1)
-    if contested.any():
+    lights, detections = (cost < unmatched_cost).nonzero()
+    return associate_pairs(
+        (lights, detections),
+        cost[lights, detections],
+        (light_count, detection_count),
+        unmatched_cost=unmatched_cost,
+    )
+
+
+def associate_pairs(
+    pairs: tuple[IntArray, IntArray], costs: FloatArray, shape: tuple[int, int], *, unmatched_cost: float
+) -> Association:
+    """`associate` for (k,) lights, ascending, and (k,) detections with (k,) costs; all other pairs are forbidden.
+
+    Args:
+        pairs: Lights and detections.
+        costs: Of these pairs.
+        shape: Numbers of lights and of detections.
+        unmatched_cost: Price of leaving one light and one detection unmatched together.
+    """
+    worthwhile = (costs < unmatched_cost).nonzero()[0]
+    rows, columns = pairs[0].take(worthwhile), pairs[1].take(worthwhile)
+    contested = (np.bincount(rows).take(rows) > 1) | (np.bincount(columns).take(columns) > 1)
+    if np.count_nonzero(contested):
         # A pair that nobody else wants is made; only the rest is searched.
-        rivals, wanted = np.unique(rows[contested]), np.unique(columns[contested])
-        gain = np.minimum(cost[np.ix_(rivals, wanted)] - unmatched_cost, 0.0)
-        taken_rows, taken_columns = linear_sum_assignment(gain)
-        worthwhile = gain[taken_rows, taken_columns] < 0
-        rows = np.concatenate([rows[~contested], rivals[taken_rows[worthwhile]]])
-        columns = np.concatenate([columns[~contested], wanted[taken_columns[worthwhile]]])
+        alone = ~contested
+        found = _assigned(rows[contested], columns[contested], costs[worthwhile[contested]] - unmatched_cost)
+        rows, columns = np.concatenate([rows[alone], found[0]]), np.concatenate([columns[alone], found[1]])
         order = np.argsort(rows)
         rows, columns = rows[order], columns[order]
-    matches = np.array([rows, columns], dtype=np.int64).T
-    return Association(
-        matches=matches,
-        unmatched_lights=_rest(light_count, matches[:, 0]),
-        unmatched_detections=_rest(detection_count, matches[:, 1]),
-    )
+    matches = np.empty((2, len(rows)), dtype=np.int64)
+    matches[0], matches[1] = rows, columns
+    return Association(matches.T, _rest(shape[0], rows), _rest(shape[1], columns))
+
+
+def _assigned(rows: IntArray, columns: IntArray, gains: FloatArray) -> tuple[IntArray, IntArray]:
+    """The pairs of the cheapest assignment; gains are negative, and leaving a pair gains nothing."""
+    # Whatever a pair costs beyond the price of leaving it, leaving it is as good: capped, infinity never reaches scipy,
+    # and the full assignment of the capped gains is the cheapest partial one.
+    rivals, of_rival = np.unique(rows, return_inverse=True)
+    wanted, of_wanted = np.unique(columns, return_inverse=True)
+    gain = np.zeros((len(rivals), len(wanted)))
+    gain[of_rival, of_wanted] = gains
+    taken_rows, taken_columns = linear_sum_assignment(gain)
+    made = gain[taken_rows, taken_columns] < 0
+    return rivals[taken_rows[made]], wanted[taken_columns[made]]
 
 
 def _rest(count: int, taken: IntArray) -> IntArray:
     free = np.ones(count, dtype=bool)
     free[taken] = False
-    return np.flatnonzero(free)
+    return free.nonzero()[0]

@@ -20,6 +20,12 @@ from autolights.core.camera import normalized_points
 from autolights.core.shots import Shots
 
 _NEAREST_M = 1.0
+# From a (4, 4) covariance P of an error, row by row, to the elements xx, xy, yy of that of a + m / d as polynomials in
+# 1 / d: P_aa, then P_am + P_ma, then P_mm.
+_TURN_POWERS = np.zeros((16, 9))
+_TURN_POWERS[[0, 1, 5], [0, 1, 2]] = 1
+_TURN_POWERS[[2, 8, 3, 6, 7, 13], [3, 3, 4, 4, 5, 5]] = 1
+_TURN_POWERS[[10, 11, 15], [6, 7, 8]] = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +50,23 @@ class ErrorEffect:
         return cls(
             images,
             shots.normalized(points_px, images),
-            shots.optics.focal_px[:, images],
+            shots.optics.focal_px.take(images, axis=1),
             1 / np.maximum(distances_m, _NEAREST_M),
         )
 
     def take(self, rows: IntArray) -> "ErrorEffect":
         """Some of the points."""
-        return ErrorEffect(self.images[rows], self.points[:, rows], self.focal_px[:, rows], self.nearness[rows])
+        return ErrorEffect(
+            self.images.take(rows),
+            self.points.take(rows, axis=1),
+            self.focal_px.take(rows, axis=1),
+            self.nearness.take(rows),
+        )
 
     def shifts_px(self, errors: FloatArray) -> FloatArray:
         """(2, n) by how much the points move with (images, 4) errors."""
-        yaw, pitch, right, down = errors.T[:, self.images]
-        turn = np.array([yaw + right * self.nearness, pitch + down * self.nearness])
-        return self.focal_px * self._bent(turn)
+        columns = errors.T.take(self.images, axis=1)
+        return self.focal_px * self._bent(columns[:2] + columns[2:] * self.nearness)
 
     def pulled_back(self, offsets_px: FloatArray) -> FloatArray:
         """(2, n) Aᵀ o of (2, n) offsets."""
@@ -64,23 +74,19 @@ class ErrorEffect:
 
     def gram(self) -> FloatArray:
         """(3, n) the elements xx, xy, yy of G = AᵀA."""
-        (x, y), (fx2, fy2) = self.points, self.focal_px**2
-        xx, xy, yy = 1 + x * x, x * y, 1 + y * y
-        return np.array([fx2 * xx * xx + fy2 * xy * xy, xy * (fx2 * xx + fy2 * yy), fx2 * xy * xy + fy2 * yy * yy])
+        squares, xy = self.focal_px * self.focal_px, self.points[0] * self.points[1]
+        diagonal = 1 + self.points * self.points  # of I + p pᵀ; xy is beside it
+        along, across = squares * diagonal, squares * xy
+        elements = np.empty((3, len(xy)))
+        elements[::2] = along * diagonal + across[::-1] * xy
+        elements[1] = (along[0] + along[1]) * xy
+        return elements
 
     def turn_covariances(self, covariances: FloatArray) -> FloatArray:
         """(3, n) elements xx, xy, yy of the covariance of a + m / d, from (images, 4, 4) of the errors."""
-        p = covariances
-        # Powers 0, 1, 2 of the nearness, (3 elements, 3 powers, images).
-        table = np.array(
-            [
-                [p[:, 0, 0], 2 * p[:, 0, 2], p[:, 2, 2]],
-                [p[:, 0, 1], p[:, 0, 3] + p[:, 1, 2], p[:, 2, 3]],
-                [p[:, 1, 1], 2 * p[:, 1, 3], p[:, 3, 3]],
-            ]
-        )
-        constant, linear, square = table[:, :, self.images].swapaxes(0, 1)
-        return np.asarray(constant + self.nearness * (linear + self.nearness * square))
+        # Powers 0, 1, 2 of the nearness, of each element.
+        powers = (covariances.reshape(-1, 16) @ _TURN_POWERS).T.take(self.images, axis=1)
+        return np.asarray(powers[:3] + self.nearness * (powers[3:6] + self.nearness * powers[6:]))
 
     def jacobians(self) -> FloatArray:
         """(n, 2, 4) J: pixels per radian of yaw and pitch, and per metre right and down."""
@@ -90,8 +96,8 @@ class ErrorEffect:
 
     def _bent(self, vectors: FloatArray) -> FloatArray:
         """(2, n) (I + p pᵀ) v."""
-        x, y = self.points
-        return np.asarray(vectors + self.points * (x * vectors[0] + y * vectors[1]))
+        along = self.points * vectors
+        return np.asarray(vectors + self.points * (along[0] + along[1]))
 
 
 def error_jacobians(points_px: FloatArray, distances_m: FloatArray, camera: CameraModel) -> FloatArray:

@@ -1,7 +1,7 @@
 """The lights that can come into view: those of the map around the vehicle, and those that only the images know."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -25,6 +25,7 @@ class KnownLights:
         type_codes: (n,) their places among the types; `ANY_CODE` matches all.
         origin: (3,) metres, map frame, near all of them.
         positions: (3, n) metres from the origin.
+        housings: (3, 8, n) corners, metres from each light's own place.
         corners: (3, 8, n) metres from the origin.
         faces: (2, n) the way they look, east and north.
     """
@@ -35,6 +36,7 @@ class KnownLights:
     type_codes: IntArray
     origin: FloatArray
     positions: FloatArray
+    housings: FloatArray
     corners: FloatArray
     faces: FloatArray
 
@@ -51,8 +53,11 @@ class KnownLights:
     ) -> Self:
         """Some lights of a map, whose own rows count from `first_row`."""
         types = [lights.types[i] for i in indices.tolist()]
-        positions, headings_deg = lights.positions[indices] - origin, lights.headings_deg[indices]
+        headings_deg = lights.headings_deg[indices]
         heading = np.radians(headings_deg)
+        places = np.ascontiguousarray((lights.positions[indices] - origin).T)
+        housings = light_corners(np.zeros((len(indices), 3)), headings_deg, lights.sizes_m[indices])
+        housings = np.ascontiguousarray(housings.T)
         code_of = {name: code for code, name in enumerate(type_names)} | {ANY_TYPE: ANY_CODE}
         return cls(
             rows=indices + first_row,
@@ -60,13 +65,21 @@ class KnownLights:
             types=np.array(types, dtype=np.str_),
             type_codes=np.array([code_of[name] for name in types], dtype=np.int64),
             origin=origin,
-            positions=np.ascontiguousarray(positions.T),
-            corners=np.ascontiguousarray(light_corners(positions, headings_deg, lights.sizes_m[indices]).T),
+            positions=places,
+            housings=housings,
+            corners=housings + places[:, None],
             faces=np.array([np.sin(heading), np.cos(heading)]),
         )
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def moved(self, first: int, positions: FloatArray) -> "KnownLights":
+        """The same lights, those from `first` on at (m, 3) other places of the map frame."""
+        places, corners = self.positions.copy(), self.corners.copy()
+        places[:, first:] = (positions - self.origin).T
+        corners[:, :, first:] = self.housings[:, :, first:] + places[:, None, first:]
+        return replace(self, positions=places, corners=corners)
 
     def and_also(self, more: "KnownLights") -> "KnownLights":
         """These lights, then others with the same origin."""
@@ -77,6 +90,7 @@ class KnownLights:
             type_codes=np.concatenate([self.type_codes, more.type_codes]),
             origin=self.origin,
             positions=np.concatenate([self.positions, more.positions], axis=1),
+            housings=np.concatenate([self.housings, more.housings], axis=2),
             corners=np.concatenate([self.corners, more.corners], axis=2),
             faces=np.concatenate([self.faces, more.faces], axis=1),
         )
@@ -107,11 +121,22 @@ class Surroundings:
             window = KnownLights.of(self._lights, near, self._type_names, position, first_row=0, on_map=True)
             self._window, self._known = window, None
         if self._known is None or self._unmapped is not unmapped:
-            self._unmapped, self._known = unmapped, window
-            if len(unmapped):
-                every, first_row = np.arange(len(unmapped)), len(self._lights)
-                more = KnownLights.of(
-                    unmapped, every, self._type_names, window.origin, first_row=first_row, on_map=False
-                )
-                self._known = window.and_also(more)
+            self._known = self._joined(window, unmapped)
+            self._unmapped = unmapped
         return self._known
+
+    def _joined(self, window: KnownLights, unmapped: TrafficLightMap) -> KnownLights:
+        if not len(unmapped):
+            return window
+        before, known = self._unmapped, self._known
+        if known is not None and before is not None and before.ids is unmapped.ids:  # they have only moved
+            return known.moved(len(window), unmapped.positions)
+        more = KnownLights.of(
+            unmapped,
+            np.arange(len(unmapped)),
+            self._type_names,
+            window.origin,
+            first_row=len(self._lights),
+            on_map=False,
+        )
+        return window.and_also(more)

@@ -36,27 +36,30 @@ def project_known(known: KnownLights, shots: Shots) -> LightsInImages:
     """
     optics = shots.optics
     away = known.positions[:, None] - (shots.vehicle - known.origin).T[:, :, None]  # (3, images, lights)
-    distance2 = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
-    near = distance2 <= ((RANGE_MARGIN * optics.range_m) ** 2)[:, None]
-    faces_us = known.faces[0] * away[0] + known.faces[1] * away[1] < 0
-    possible = near & faces_us
-    columns = np.flatnonzero(possible.any(axis=0))
+    squares, towards = away * away, known.faces[:, None] * away[:2]
+    distance2 = squares[0] + squares[1] + squares[2]
+    possible = distance2 <= ((RANGE_MARGIN * optics.range_m) ** 2)[:, None]
+    possible &= towards[0] + towards[1] < 0
+    columns = np.logical_or.reduce(possible, axis=0).nonzero()[0]
 
     lows, highs = shots.project_outlines(known.corners.take(columns, axis=2), known.origin)
-    size_wh = optics.size_wh.T[:, :, None]
+    size_wh = optics.size_wh[:, :, None]
     # NaN compares false: a corner that does not project drops the light.
-    shown = possible[:, columns] & ((highs > 0) & (lows < size_wh)).all(axis=1)
-    images, which = np.nonzero(shown)
-    lows, highs = lows[images, :, which], highs[images, :, which]
-    lights = columns[which]
-    distances_m = np.sqrt(distance2[images, lights])
-    contained = ((lows >= 0) & (highs <= optics.size_wh.T[images])).all(axis=1)
+    overlaps = (highs > 0) & (lows < size_wh)
+    rows = (possible.take(columns, axis=1) & overlaps[0] & overlaps[1]).ravel().nonzero()[0]
+    images, which = np.divmod(rows, max(len(columns), 1))
+    lights = columns.take(which)
+    boxes = np.empty((4, len(rows)))
+    lows.reshape(2, -1).take(rows, axis=1, out=boxes[:2])
+    highs.reshape(2, -1).take(rows, axis=1, out=boxes[2:])
+    distances_m = np.sqrt(distance2.ravel().take(images * len(known) + lights))
+    contained = (boxes[:2] >= 0) & (boxes[2:] <= optics.size_wh.take(images, axis=1))
     return LightsInImages(
-        indices=known.rows[lights],
-        types=known.types[lights],
-        boxes_xyxy=np.concatenate([lows, highs], axis=1),
+        indices=known.rows.take(lights),
+        types=known.types.take(lights),
+        boxes_xyxy=boxes.T,
         distances_m=distances_m,
-        expected=contained & (distances_m <= optics.range_m[images]),
+        expected=contained[0] & contained[1] & (distances_m <= optics.range_m.take(images)),
         images=images,
-        type_codes=known.type_codes[lights],
+        type_codes=known.type_codes.take(lights),
     )

@@ -8,6 +8,7 @@ from autolights.core.shots import Shots
 
 _CENTRE_TOP_BOTTOM = np.array([0.0, -0.5, 0.5])  # in heights of a box from its centre
 _IDENTITY = np.eye(3)
+_SQRT_2 = 2**0.5
 
 
 def localize(box_xyxy: FloatArray, light_size_m: FloatArray, camera: CameraModel, pose: Pose) -> FloatArray:
@@ -61,16 +62,17 @@ def localize_in_images(boxes: FloatArray, sizes_m: FloatArray, shots: Shots, ima
     x, y, _, height_px = boxes
     # Centre, top and bottom. Half a pixel: boxes count from the corner of the top-left pixel, points from its centre.
     points_px = np.empty((2, len(x), 3))
-    points_px[0] = (x - 0.5)[:, None]
-    points_px[1] = (y - 0.5)[:, None] + height_px[:, None] * _CENTRE_TOP_BOTTOM
+    points_px[0] = x[:, None]
+    points_px[1] = y[:, None] + height_px[:, None] * _CENTRE_TOP_BOTTOM
+    points_px -= 0.5
     rays = shots.back_project(points_px.reshape(2, -1), images.repeat(3)).reshape(2, -1, 3)
     centres = np.ones((len(x), 1, 3))
     centres[:, 0, :2] = rays[:, :, 0].T
-    directions = (centres @ shots.cam_from_utm[images])[:, 0]  # a rotation's inverse is its transpose
-    slope = np.abs(directions[:, 2]) / np.hypot(directions[:, 0], directions[:, 1])
-    shown_height_m = sizes_m[:, 1] + sizes_m[:, 2] * slope
+    directions = (centres @ shots.cam_from_utm.take(images, axis=0))[:, 0]  # a rotation's inverse is its transpose
+    east, north, up = directions.T
+    shown_height_m = sizes_m[:, 1] + sizes_m[:, 2] * (np.abs(up) / np.hypot(east, north))
     depth_m = shown_height_m / (rays[1, :, 2] - rays[1, :, 1])
-    return np.asarray(shots.lens[images] + directions * depth_m[:, None])
+    return np.asarray(shots.lens.take(images, axis=0) + directions * depth_m[:, None])
 
 
 def localization_information(
@@ -100,11 +102,12 @@ def information_along(
     rays: FloatArray, heights_m: FloatArray | float, focal_px: FloatArray | float, *, box_sigma_px: float
 ) -> FloatArray:
     """`localization_information` from (..., 3) metres from the lens, heights in metres and focal lengths in pixels."""
-    distances_m = np.sqrt((rays * rays).sum(axis=-1))
-    along_m = distances_m**2 * np.sqrt(2) * box_sigma_px / (focal_px * heights_m)
-    across_m = distances_m * box_sigma_px / (np.sqrt(2) * focal_px)
+    squares = rays * rays
+    distances_m = np.sqrt(squares[..., 0] + squares[..., 1] + squares[..., 2])
+    across_m = distances_m * box_sigma_px / (_SQRT_2 * focal_px)
+    along_m = distances_m * across_m * 2 / heights_m
     # I / across² + (1 / along² − 1 / across²) d dᵀ with the ray's direction d
+    across = 1 / (across_m * across_m)
     directions = rays / distances_m[..., None]
-    across_only, more_along = 1 / across_m**2, 1 / along_m**2 - 1 / across_m**2
-    outer = (directions * more_along[..., None])[..., :, None] * directions[..., None, :]
-    return np.asarray(outer + _IDENTITY * across_only[..., None, None])
+    scaled = directions * (1 / (along_m * along_m) - across)[..., None]
+    return np.asarray(scaled[..., :, None] * directions[..., None, :] + _IDENTITY * across[..., None, None])

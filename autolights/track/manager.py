@@ -76,7 +76,7 @@ class TrackManager:
         self._table = TrackTable.empty(len(self._type_names))
         make = TimedStates if config.mode == "timed" else PaperStates
         self._states: LightStates = make(signals, hmm, config)
-        self._row_of_light = np.full(len(lights), -1, dtype=np.int64)
+        self._row_of_light = np.full(len(lights) + 1, -1, dtype=np.int64)  # the last stands for no light of the map
         self._unmapped_rows: IntArray = np.empty(0, dtype=np.int64)
         self._touched = np.empty(0, dtype=bool)
         self._unmapped_lights = self._index()
@@ -196,8 +196,8 @@ class TrackManager:
     def _match(self, observation: SetObservation, set_ns: int) -> _Seen:
         """Give each detection that was matched to its track; note who was expected in vain."""
         projected, association = observation.projected, observation.association
-        lights, detections = association.matches[:, 0], association.matches[:, 1]
-        known = projected.indices[lights]
+        lights, detections = association.matches.T
+        known = projected.indices.take(lights)
         rows = self._rows_of(known)
         unknown = known[rows < 0]
         if len(unknown):
@@ -205,12 +205,12 @@ class TrackManager:
             self._start_map_tracks(unknown[np.sort(first)], set_ns)
             rows = self._rows_of(known)
         left = association.unmatched_lights
-        left = left[projected.expected[left]]
-        missed = self._rows_of(projected.indices[left])
+        left = left[projected.expected.take(left)]
+        missed = self._rows_of(projected.indices.take(left))
         left, missed = left[missed >= 0], missed[missed >= 0]
-        images, missed_in = observation.known_in[lights], observation.known_in[left]
+        images, missed_in = observation.known_in.take(lights), observation.known_in.take(left)
         boxes = observation.detections.boxes_xyxy
-        self._note_views(observation, rows, images, boxes[detections].tolist(), missed, missed_in)
+        self._note_views(observation, rows, images, boxes.take(detections, axis=0), missed, missed_in)
         if len(missed):
             in_view = in_plain_view(
                 projected.boxes_xyxy[left],
@@ -227,29 +227,34 @@ class TrackManager:
         observation: SetObservation,
         rows: IntArray,
         images: IntArray,
-        boxes: list[list[float]],
+        boxes_xyxy: FloatArray,
         missed: IntArray,
         missed_in: IntArray,
     ) -> None:
         """Note which images show a light, and which should have."""
         cameras = [camera.name for camera in observation.shots.optics.cameras]
         stamps_ns = [pose.stamp_ns for pose in observation.shots.poses]
-        shown: list[tuple[int, int, Any]] = [
-            *zip(images.tolist(), rows.tolist(), map(tuple, boxes), strict=True),
-            *((image, row, None) for image, row in zip(missed_in.tolist(), missed.tolist(), strict=True)),
-        ]
+        shown: list[tuple[int, int, Any]] = list(
+            zip(images.tolist(), rows.tolist(), map(tuple, boxes_xyxy.tolist()), strict=True)
+        )
         if len(missed):
+            shown += [(image, row, None) for image, row in zip(missed_in.tolist(), missed.tolist(), strict=True)]
             shown.sort(key=itemgetter(0))
+        views = self._views
         for image, row, box in shown:
             view = CameraView(cameras[image], stamps_ns[image], box)
-            self._views.setdefault(row, []).append(view)
+            if row in views:
+                views[row].append(view)
+            else:
+                views[row] = [view]
 
     def _rows_of(self, known: IntArray) -> IntArray:
         """Rows of the table for rows of map and index; −1 for a map light that has no track."""
-        rows = np.empty(len(known), dtype=np.int64)
-        on_map = known < len(self._lights)
-        rows[on_map] = self._row_of_light[known[on_map]]
-        rows[~on_map] = self._unmapped_rows[known[~on_map] - len(self._lights)]
+        count = len(self._lights)
+        rows = self._row_of_light.take(np.minimum(known, count))
+        off_map = (known >= count).nonzero()[0]
+        if len(off_map):
+            rows[off_map] = self._unmapped_rows.take(known.take(off_map) - count)
         return rows
 
     def _start_map_tracks(self, map_rows: IntArray, set_ns: int) -> None:
@@ -278,26 +283,26 @@ class TrackManager:
     def _remember(self, rows: IntArray, observation: SetObservation, detections: IntArray, images: IntArray) -> None:
         """Let lights that come back start anew; let unmapped ones be placed and typed by what was seen."""
         table = self._table
-        anew = rows[table.starts_anew[rows] & ~self._touched[rows]]
+        anew = rows[(table.starts_anew & ~self._touched).take(rows)]
         if len(anew):
             anew = np.unique(anew)
             self._states.start_anew(anew, table.types[anew])
         self._touched[rows] = True
-        unmapped = np.flatnonzero(table.map_rows[rows] < 0)
+        unmapped = (table.map_rows.take(rows) < 0).nonzero()[0]
         if len(unmapped):
-            self._learn(rows[unmapped], observation, detections[unmapped], images[unmapped])
+            self._learn(rows.take(unmapped), observation, detections.take(unmapped), images.take(unmapped))
 
     def _learn(self, rows: IntArray, observation: SetObservation, detections: IntArray, images: IntArray) -> None:
         """Let unmapped lights be typed and placed by what was seen."""
         table = self._table
-        seen_types = self._class_types[observation.detections.class_ids[detections]]
-        if (seen_types == table.types[rows]).all():
+        seen_types = self._class_types.take(observation.detections.class_ids.take(detections))
+        if not np.count_nonzero(seen_types != table.types.take(rows)):
             np.add.at(table.type_votes, (rows, seen_types), 1)
         else:  # another type may win, and then lose again: one image after the other
             for image in np.unique(images):
                 self._vote_types(rows[images == image], seen_types[images == image])
         information = self._information(observation, detections)
-        table.refine_positions(rows, observation.positions[detections], information)
+        table.refine_positions(rows, observation.positions.take(detections, axis=0), information)
 
     def _vote_types(self, rows: IntArray, seen_types: IntArray) -> None:
         table = self._table
@@ -310,6 +315,8 @@ class TrackManager:
 
     def _start_tracks(self, observation: SetObservation, set_ns: int) -> list[_Seen]:
         """Make tentative tracks of the detections that nobody knew; what two cameras see twice becomes one."""
+        if not len(observation.new_lights):
+            return []
         fresh: IntArray = np.empty(0, dtype=np.int64)
         seen = []
         found_in = observation.seen_in[observation.new_lights]
@@ -323,8 +330,8 @@ class TrackManager:
             self._remember(rows[again], observation, detections[again], images[again])
             rows[~again] = self._new_tracks(observation, detections[~again], vehicle, set_ns)
             fresh = np.concatenate([fresh, rows[~again]])
-            boxes = observation.detections.boxes_xyxy[detections].tolist()
-            self._note_views(observation, rows, images, boxes, rows[:0], rows[:0])
+            boxes_xyxy = observation.detections.boxes_xyxy[detections]
+            self._note_views(observation, rows, images, boxes_xyxy, rows[:0], rows[:0])
             seen.append(_Seen(rows, detections, images, rows[:0], rows[:0]))
         return seen
 
@@ -346,24 +353,25 @@ class TrackManager:
         return rows
 
     def _information(self, observation: SetObservation, detections: IntArray) -> FloatArray:
-        seen_types = self._class_types[observation.detections.class_ids[detections]]
-        shots, images = observation.shots, observation.seen_in[detections]
+        seen_types = self._class_types.take(observation.detections.class_ids.take(detections))
+        shots, images = observation.shots, observation.seen_in.take(detections)
         return information_along(
-            observation.positions[detections] - shots.lens[images],
-            self._heights_m[seen_types],
-            shots.optics.focal_px[1, images],
+            observation.positions.take(detections, axis=0) - shots.lens.take(images, axis=0),
+            self._heights_m.take(seen_types),
+            shots.optics.focal_px[1].take(images),
             box_sigma_px=self._config.box_sigma_px,
         )
 
     def _looks(self, observation: SetObservation, seen: _Seen) -> Iterator[Looks]:
         """What each camera says about states: a light that is seen as another type than its own says nothing."""
         found = observation.detections
-        telling = self._class_types[found.class_ids[seen.detections]] == self._table.types[seen.rows]
-        rows, detections, images = seen.rows[telling], seen.detections[telling], seen.images[telling]
-        boxes, class_probs = found.boxes_xyxy[detections], found.class_probs[detections]
-        heights_px = boxes[:, 3] - boxes[:, 1]
+        own_types, seen_types = self._table.types.take(seen.rows), self._class_types.take(found.class_ids)
+        telling = (seen_types.take(seen.detections) == own_types).nonzero()[0]
+        rows, detections, images = seen.rows.take(telling), seen.detections.take(telling), seen.images.take(telling)
+        class_probs, boxes_xyxy = found.class_probs.take(detections, axis=0), found.boxes_xyxy.take(detections, axis=0)
+        heights_px = boxes_xyxy[:, 3] - boxes_xyxy[:, 1]
         every = range(len(observation) + 1)
-        bounds, missed = np.searchsorted(images, every).tolist(), np.searchsorted(seen.missed_in, every).tolist()
+        bounds, missed = images.searchsorted(every).tolist(), seen.missed_in.searchsorted(every).tolist()
         for image in range(len(observation)):
             here = slice(bounds[image], bounds[image + 1])
             in_vain = seen.missed[missed[image] : missed[image + 1]]
@@ -382,7 +390,7 @@ class TrackManager:
         table = self._table
         # A false alarm seldom comes twice in one place: a candidate that fails to return was one.
         candidate = (table.hits > 0) & ((table.map_rows >= 0) | (table.age_s(set_ns) <= self._config.max_coast_s))
-        kept = np.flatnonzero(table.known | candidate)
+        kept = (table.known | candidate).nonzero()[0]
         if len(kept) > self._config.max_tracks:
             latest = np.argsort(-table.last_seen_ns[kept], kind="stable")[: self._config.max_tracks]
             kept = kept[np.sort(latest)]
@@ -395,12 +403,16 @@ class TrackManager:
             self._views = {place[row]: views for row, views in self._views.items() if row in place}
             if self._reports is not None:
                 self._reports = self._reports.take(kept)
-        rows = np.flatnonzero(table.map_rows < 0)
-        held = self._unmapped_lights
+        rows = (table.map_rows < 0).nonzero()[0]
         same = len(kept) == len(self._touched) and np.array_equal(rows, self._unmapped_rows)
-        if not (same and (np.abs(table.positions[rows] - held.positions) <= _MOVED_M).all()):
+        if not same:
             self._unmapped_rows = rows
             self._unmapped_lights = self._index()
+        elif len(rows):
+            positions = table.positions.take(rows, axis=0)
+            if np.count_nonzero(np.abs(positions - self._unmapped_lights.positions) > _MOVED_M):
+                types_kept = np.array_equal(table.types.take(rows), self._unmapped_types)
+                self._unmapped_lights = self._unmapped_lights.at(positions) if types_kept else self._index()
 
     def _place_map_lights(self) -> None:
         on_map = np.flatnonzero(self._table.map_rows >= 0)
@@ -408,10 +420,11 @@ class TrackManager:
 
     def _index(self, positions: FloatArray | None = None) -> TrafficLightMap:
         table, rows = self._table, self._unmapped_rows
+        self._unmapped_types = table.types[rows]
         return TrafficLightMap(
             ids=tuple(map(str, table.ids[rows].tolist())),
             types=(ANY_TYPE,) * len(rows),
             positions=table.positions[rows] if positions is None else positions,
             headings_deg=table.headings_deg[rows],
-            sizes_m=self._signals.sizes_m(self._type_names[t] for t in table.types[rows]),
+            sizes_m=self._signals.sizes_m(self._type_names[t] for t in self._unmapped_types),
         )

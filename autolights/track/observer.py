@@ -9,7 +9,7 @@ from autolights.core import BoolArray, CameraModel, Detections, FloatArray, IntA
 from autolights.core.boxes import cxcywh_columns
 from autolights.core.shots import Shots
 from autolights.track.alignment import Alignment, AlignmentConfig, CameraHealth, RigAlignment
-from autolights.track.association import Association, associate, costs_of
+from autolights.track.association import Association, associate_pairs, pair_costs
 from autolights.track.known_lights import ANY_CODE, Surroundings
 from autolights.track.lights_in_images import LightsInImages, project_known
 from autolights.track.localization import localize_in_images
@@ -76,29 +76,32 @@ class Observer:
         detections, seen_in = self._taking_part([found for _, _, found in ordered])
         lights = project_known(self._surroundings.around(ordered[-1][1].position, unmapped), shots)
         known, seen = cxcywh_columns(lights.boxes_xyxy), cxcywh_columns(detections.boxes_xyxy)
-        fits = self._fits(lights, detections, seen_in)
-        alignment = self._align(shots, lights, known, seen, fits)
+        on_map = lights.indices < self._map_length
+        pairs = self._may_be_same(lights, detections, seen_in)
+        alignment = self._align(shots, lights, known, seen, pairs, on_map)
         gates_px = None
         if alignment is not None and self._alignment_config is not None:
             lights = lights.shifted(alignment.shifts_px.T)
             known[:2] += alignment.shifts_px
             gates_px = self._alignment_config.gate * alignment.sigmas_px
-        cost = costs_of(
+        costs = pair_costs(
             known,
             seen,
-            fits,
+            pairs,
             max_distance_px=config.max_distance_px,
             max_distance_heights=config.max_distance_heights,
             gates_px=gates_px,
         )
-        association = associate(cost, unmatched_cost=config.max_distance_px)
-        off_map = self._off_map(lights, association, len(detections))
+        cost = np.full((len(lights), len(detections)), np.inf)
+        cost[pairs] = costs
+        association = associate_pairs(pairs, costs, cost.shape, unmatched_cost=config.max_distance_px)
+        off_map = _off_map(on_map, association, len(detections))
         positions = np.full((len(detections), 3), np.nan)
         if len(off_map):
             positions[off_map] = self._localized(seen, detections, off_map, seen_in, shots, alignment)
         new = association.unmatched_detections
-        new = new[detections.scores[new] >= config.new_light_score_threshold]
         if len(new):
+            new = new[detections.scores[new] >= config.new_light_score_threshold]
             may = may_be_new(
                 seen[:, new],
                 positions[new],
@@ -143,34 +146,38 @@ class Observer:
     def _taking_part(self, found: Sequence[Detections]) -> tuple[Detections, IntArray]:
         """Detections whose score suffices, and the image of each."""
         every = Detections.joined(found)
-        rows = np.flatnonzero(every.scores >= self._config.fusion_score_threshold)
-        return every[rows], np.arange(len(found)).repeat([len(one) for one in found])[rows]
+        images = np.arange(len(found)).repeat([len(one) for one in found])
+        rows = (every.scores >= self._config.fusion_score_threshold).nonzero()[0]
+        return (every, images) if len(rows) == len(every) else (every[rows], images[rows])
 
-    def _fits(self, lights: LightsInImages, detections: Detections, seen_in: IntArray) -> BoolArray:
-        """(n, m) whether light and detection are of one image, and can be the same by their types."""
+    def _may_be_same(
+        self, lights: LightsInImages, detections: Detections, seen_in: IntArray
+    ) -> tuple[IntArray, IntArray]:
+        """(k,) lights and (k,) detections that are of one image, and can be the same by their types."""
         count = len(self._class_types)
         keys = lights.images * count + lights.type_codes
-        fits = keys[:, None] == seen_in * count + self._class_types[detections.class_ids]
-        untyped = np.flatnonzero(lights.type_codes == ANY_CODE)
+        fits = keys[:, None] == seen_in * count + self._class_types.take(detections.class_ids)
+        untyped = (lights.type_codes == ANY_CODE).nonzero()[0]
         if len(untyped):
-            fits[untyped] = lights.images[untyped, None] == seen_in
-        return np.asarray(fits)
+            fits[untyped] = lights.images.take(untyped)[:, None] == seen_in
+        rows, columns = fits.nonzero()
+        return rows, columns
 
     def _align(
-        self, shots: Shots, lights: LightsInImages, known: FloatArray, seen: FloatArray, fits: BoolArray
+        self,
+        shots: Shots,
+        lights: LightsInImages,
+        known: FloatArray,
+        seen: FloatArray,
+        pairs: tuple[IntArray, IntArray],
+        on_map: BoolArray,
     ) -> Alignment | None:
         """The common error of each image; only lights of the map speak for it, the others were placed by it."""
         if self._alignment is None:
             return None
-        may_vote = fits & (lights.indices < self._map_length)[:, None]
+        votes = on_map.take(pairs[0]).nonzero()[0]
+        may_vote = pairs[0].take(votes), pairs[1].take(votes)
         return self._alignment.align(shots, known, lights.distances_m, lights.images, seen, may_vote)
-
-    def _off_map(self, lights: LightsInImages, association: Association, count: int) -> IntArray:
-        """Rows of the detections that are no lights of the map."""
-        off_map = np.ones(count, dtype=bool)
-        pairs = association.matches
-        off_map[pairs[lights.indices[pairs[:, 0]] < self._map_length, 1]] = False
-        return np.flatnonzero(off_map)
 
     def _localized(
         self,
@@ -182,8 +189,16 @@ class Observer:
         alignment: Alignment | None,
     ) -> FloatArray:
         """(k, 3) metres: detections by the sizes of their types, with the common error taken off."""
-        sizes_m, images = self._class_sizes_m[detections.class_ids[rows]], seen_in[rows]
-        boxes = seen[:, rows]
+        sizes_m, images = self._class_sizes_m.take(detections.class_ids.take(rows), axis=0), seen_in.take(rows)
+        boxes = seen.take(rows, axis=1)
         if alignment is not None:
             boxes[:2] -= alignment.shifts_of_seen(boxes, sizes_m[:, 1], images)
         return localize_in_images(boxes, sizes_m, shots, images)
+
+
+def _off_map(on_map: BoolArray, association: Association, count: int) -> IntArray:
+    """Rows of the detections that are no lights of the map, of which (n,) `on_map` tells."""
+    off_map = np.ones(count, dtype=bool)
+    lights, detections = association.matches.T
+    off_map[detections[on_map.take(lights)]] = False
+    return off_map.nonzero()[0]

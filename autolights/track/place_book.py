@@ -65,7 +65,7 @@ class PlaceBook:
     def rows_of(self, map_rows: IntArray, track_ids: IntArray) -> IntArray:
         """(n,) rows of `places`, −1 where nothing is known, by (n,) rows of the map; where negative by (n,) tracks."""
         rows = self._row_of_light[map_rows]
-        for i in np.flatnonzero(map_rows < 0).tolist():
+        for i in (map_rows < 0).nonzero()[0].tolist():
             rows[i] = self._row_of_track.get(int(track_ids[i]), -1)
         return rows
 
@@ -96,11 +96,11 @@ class PlaceBook:
     def _rows(self, known: IntArray, unmapped: TrafficLightMap) -> IntArray:
         """Rows of lights, which begin where they are new; `known` counts map lights, then unmapped ones."""
         count = len(self._lights)
-        rows = self._row_of_light[np.minimum(known, count)]
-        for i in np.flatnonzero(known >= count).tolist():
+        rows = self._row_of_light.take(np.minimum(known, count))
+        for i in (known >= count).nonzero()[0].tolist():
             light = int(known[i]) - count
             rows[i] = self._row_of_unmapped(int(unmapped.ids[light]), unmapped, light)
-        for i in np.flatnonzero(rows < 0).tolist():
+        for i in (rows < 0).nonzero()[0].tolist():
             light = int(known[i])
             if self._row_of_light[light] < 0:
                 self._row_of_light[light] = self._append(light, self._lights, light)

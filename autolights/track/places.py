@@ -184,8 +184,8 @@ class LightPlaces:
             due = np.ones(len(rows), dtype=bool)
             self._camera_ns[number] = pose.stamp_ns
         else:
-            due = self._last_ns[rows, number] == _NEVER_NS
-            if not due.any():
+            due = self._last_ns[:, number].take(rows) == _NEVER_NS
+            if not np.count_nonzero(due):
                 return
         due &= (boxes_xyxy[:, :2] >= _EDGE_PX).all(axis=1)
         due &= (boxes_xyxy[:, 2:] <= np.array(camera.size_wh) - _EDGE_PX).all(axis=1)
@@ -220,14 +220,14 @@ class LightPlaces:
 
     def settle(self, stamp_ns: int) -> None:
         """Find the most probable positions and shared errors after all that was observed so far."""
-        rows = np.flatnonzero(self._active)
+        rows = self._active.nonzero()[0]
         if not len(rows):
             return
         if self._unsettled:
             self._solve(rows)
             self._unsettled = False
-        silent = self._last_ns[rows].max(axis=1) < stamp_ns - _SETTLED_S * 1e9
-        if silent.any():
+        silent = self._last_ns.max(axis=1).take(rows) < stamp_ns - _SETTLED_S * 1e9
+        if np.count_nonzero(silent):
             self._close(rows[silent])
             self._let_drift(stamp_ns)
 

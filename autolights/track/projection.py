@@ -39,7 +39,7 @@ class ProjectedLights:
 
     def shifted(self, shifts_px: FloatArray) -> Self:
         """The same lights (n, 2) pixels farther right and down."""
-        return replace(self, boxes_xyxy=self.boxes_xyxy + np.tile(shifts_px, 2))
+        return replace(self, boxes_xyxy=self.boxes_xyxy + np.concatenate([shifts_px, shifts_px], axis=1))
 
 
 def project_lights(lights: TrafficLightMap, camera: CameraModel, pose: Pose) -> ProjectedLights:

@@ -139,12 +139,15 @@ class TrackTable:
             positions: (m, 3) metres.
             information: (m, 3, 3) 1/m².
         """
-        pulls = information @ (positions - self.positions[rows])[:, :, None]
-        each, of_each = np.unique(rows, return_inverse=True)
-        pull = np.zeros((len(each), 3, 1))
-        np.add.at(pull, of_each, pulls)
-        np.add.at(self.information, rows, information)
-        self.positions[each] += np.linalg.solve(self.information[each], pull)[..., 0]
+        pulls = information @ (positions - self.positions.take(rows, axis=0))[:, :, None]
+        slots: dict[int, int] = {}
+        of_each = [slots.setdefault(row, len(slots)) for row in rows.tolist()]
+        each = np.array(list(slots))
+        terms = np.concatenate([information, pulls], axis=2).reshape(-1, 12)
+        told = (np.eye(len(each)).take(of_each, axis=1) @ terms).reshape(-1, 3, 4)
+        total = self.information.take(each, axis=0) + told[:, :, :3]
+        self.information[each] = total
+        self.positions[each] += np.linalg.solve(total, told[:, :, 3:])[..., 0]
 
     def to_json(self) -> dict[str, Any]:
         """All columns as JSON-ready values."""

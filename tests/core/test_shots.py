@@ -50,7 +50,7 @@ def test_each_image_is_as_alone(lenses: list[str]) -> None:
     for image, (one, where) in enumerate(zip(cameras, poses, strict=True)):
         expected = project_corners(corners + ORIGIN, one, one.cam_from_ins @ invert_rigid(where.utm_from_ins))
         assert np.isnan(expected).any()
-        np.testing.assert_allclose(np.concatenate([lows[image], highs[image]]).T, expected, atol=1e-5, rtol=1e-8)
+        np.testing.assert_allclose(np.concatenate([lows[:, image], highs[:, image]]).T, expected, atol=1e-5, rtol=1e-8)
     images = np.arange(len(cameras)).repeat(30)
     points_px = np.tile(pixels, (len(cameras), 1)).T
     bent, straight = shots.normalized(points_px, images), shots.back_project(points_px, images)

@@ -61,7 +61,7 @@ def align(
     fits = np.ones((len(projected), len(detected)), dtype=bool)
     distances_m, images = np.linalg.norm(points, axis=1), np.zeros(len(points), dtype=int)
     known, seen = cxcywh_columns(projected), cxcywh_columns(detected)
-    return projected, state.align(shots, known, distances_m, images, seen, fits)
+    return projected, state.align(shots, known, distances_m, images, seen, fits.nonzero())
 
 
 @pytest.mark.parametrize("turned_deg", [-1.0, -0.5, 0.5, 1.0])
@@ -208,7 +208,7 @@ def two_camera_drive(seed: int) -> list[tuple[Shots, list[np.ndarray]]]:
         fits = np.tile(types, 2)[:, None] == np.concatenate(seen_types)
         fits &= np.concatenate(images)[:, None] == np.concatenate(seen_in)
         boxes = cxcywh_columns(np.concatenate(known)), cxcywh_columns(np.concatenate(seen))
-        arguments = [boxes[0], np.concatenate(distances), np.concatenate(images), boxes[1], fits]
+        arguments = [boxes[0], np.concatenate(distances), np.concatenate(images), boxes[1], fits.nonzero()]
         sets.append((Shots.of(cameras, [pose, pose]), arguments))
     return sets
 
