@@ -34,6 +34,8 @@ from autolights.infer import Detector, Region
 from autolights.track import (
     AlignmentConfig,
     CameraHealth,
+    DuplicateConfig,
+    Duplicates,
     MatchConfig,
     MemorylessLights,
     Observer,
@@ -71,6 +73,7 @@ class PipelineConfig(Config):
         places: What is known of the errors of places before anything is seen; of it come positions that the images
             have refined, with their covariance. null leaves map lights where the map has them (the paper).
         track: Birth, death and memory.
+        duplicates: When two tracks are taken for one light; null keeps them, and so does places: null.
         relevance: Which lights belong to one intersection and govern the vehicle's approach; null tells nothing of
             that and leaves estimates in the order of track ids.
         regions: By camera, which part of its images the detector looks at; of cameras that are not named, all.
@@ -85,6 +88,7 @@ class PipelineConfig(Config):
     alignment: AlignmentConfig | None = AlignmentConfig()
     places: PlaceConfig | None = PlaceConfig()
     track: TrackConfig = TrackConfig()
+    duplicates: DuplicateConfig | None = DuplicateConfig()
     relevance: RelevanceConfig | None = RelevanceConfig()
     regions: dict[str, RegionConfig] = Field(default_factory=dict)
 
@@ -176,6 +180,7 @@ class LightPipeline:
         self._observer = Observer(lights, signals, cameras, self._match_config(), self.config.alignment)
         places = self.config.places
         self._places = PlaceBook(lights, self._cameras, places) if places else None
+        self._duplicates = self._new_duplicates()
         relevance = self.config.relevance
         self._relevance = Relevance(lights, relevance) if relevance else None
         self._tracks = TrackManager(lights, signals, hmm, self.config.track)
@@ -252,13 +257,15 @@ class LightPipeline:
         if self.config.variant == "od":
             return [light for view in views for light in self._memoryless.detected(*view, set_ns)]
         unmapped = self._tracks.unmapped
-        observations = self._observer.observe(views, unmapped)
+        observations = self._observer.observe(views, unmapped, self._places)
         self._behind = observations, unmapped
         if self.config.variant == "fusion":
             return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]
         if self._places is not None:
             self._places.take_in(observations, unmapped, set_ns)
         estimates = self._tracks.update(observations, set_ns, self._places)
+        if len(unmapped) and self._places is not None and self._duplicates is not None:
+            self._merge_duplicates(observations, unmapped, self._duplicates, self._places)
         if self._relevance is None:
             return estimates
         return self._relevance.tell(estimates, self._tracks.unmapped, observations.shots.poses[-1], self.lanes)
@@ -274,6 +281,7 @@ class LightPipeline:
             "detected_sets": self._detected_sets,
             "tracks": self._tracks.to_json(),
             "places": None if self._places is None else self._places.to_json(),
+            "duplicates": None if self._duplicates is None else self._duplicates.to_json(),
             "alignments": self._observer.to_json(),
         }
 
@@ -289,6 +297,8 @@ class LightPipeline:
                 raise DataError("pipeline state: was saved with other settings of places")
             if self._places is not None:
                 self._places.restore(values["places"])
+            if self._duplicates is not None and values.get("duplicates"):
+                self._duplicates.restore(values["duplicates"])
             self._observer.restore(values["alignments"])
             self._last_set_ns, self._detected_sets = values["last_set_ns"], int(values["detected_sets"])
         except (KeyError, TypeError, ValueError) as error:
@@ -342,6 +352,23 @@ class LightPipeline:
             self._lights, self._signals, self._hmm, self.config.track, last_id=self._tracks.last_id
         )
         self._observer.begin_anew()
+        self._duplicates = self._new_duplicates()
+
+    def _merge_duplicates(
+        self, observations: SetObservation, unmapped: TrafficLightMap, duplicates: Duplicates, places: PlaceBook
+    ) -> None:
+        """Make one of tracks that turned out to be one light, from the next set of frames on."""
+        duplicates.take_in(observations, unmapped)
+        for key, other in duplicates.found(places, observations.shots.vehicle[-1]):
+            merged = self._tracks.merge(key, other)
+            if merged is not None:
+                places.merge(key, other, merged)
+            for gone in (key, other):
+                duplicates.forget(gone)
+
+    def _new_duplicates(self) -> Duplicates | None:
+        config = self.config.duplicates
+        return Duplicates(self._lights, config) if config and self.config.places else None
 
     def _match_config(self) -> MatchConfig:
         return MatchConfig(**{name: getattr(self.config, name) for name in MatchConfig._fields})
@@ -360,5 +387,5 @@ class LightPipeline:
         except PoseError:
             return None
         camera = self._cameras[frame.camera]
-        boxes_xyxy = self._observer.project(camera, pose, self._tracks.unmapped).boxes_xyxy
+        boxes_xyxy = self._observer.project(camera, pose, self._tracks.unmapped, self._places).boxes_xyxy
         return region_of_interest(config, boxes_xyxy, (frame.image_bgr.shape[1], frame.image_bgr.shape[0]))

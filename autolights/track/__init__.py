@@ -8,6 +8,7 @@ from autolights.track.alignment import (
 )
 from autolights.track.association import Association, associate, association_cost, type_fits
 from autolights.track.config import TrackConfig
+from autolights.track.duplicates import DuplicateConfig, Duplicates
 from autolights.track.flashing import FlashVerdict, flash_verdict
 from autolights.track.hmm_filter import hmm_predict, hmm_update, transition_over
 from autolights.track.localization import localization_information, localize, localize_boxes
@@ -27,6 +28,8 @@ __all__ = [
     "Association",
     "CameraHealth",
     "CameraObservation",
+    "DuplicateConfig",
+    "Duplicates",
     "FlashVerdict",
     "LightPlaces",
     "MatchConfig",

@@ -138,6 +138,33 @@ class TrackManager:
         self._forget(stamp_ns)
         return estimates
 
+    def merge(self, unmapped: int, other: int) -> int | None:
+        """Take two tracks of one type for one light; the older id stays, evidence counts once.
+
+        Args:
+            unmapped: Key of a light that the map does not hold: −1 − track id.
+            other: Of another one, or the row of the map.
+
+        Returns:
+            Key of the light from now on; None if they are of different types, or the map's light has no track.
+        """
+        table = self._table
+        second = self._row_of_light[other] if other >= 0 else np.searchsorted(table.ids, -1 - other)
+        ordered = sorted((int(np.searchsorted(table.ids, -1 - unmapped)), int(second)))
+        if ordered[0] < 0 or table.types[ordered[0]] != table.types[ordered[1]]:
+            return None
+        first, last = ordered
+        # A light of the map keeps its own belief, which its group may share; else the latest is heard.
+        mapped = [row for row in ordered if table.map_rows[row] >= 0]
+        source = mapped[0] if mapped else max(ordered, key=lambda row: int(table.last_seen_ns[row]))
+        if source != first:
+            self._states.take_over(first, source)
+        table.absorb(first, last)
+        self._keep(np.delete(np.arange(len(table)), last))
+        self._unmapped_rows = np.flatnonzero(table.map_rows < 0)
+        self._unmapped_lights = self._index()
+        return other if other >= 0 else -1 - int(table.ids[first])
+
     def explain(self) -> list[dict[str, Any]]:
         """What is known of each light and which rule made its report, as JSON-ready values."""
         told = self._reporter.explain(self._table, self._reports, self._last_set_ns or 0)
@@ -395,14 +422,7 @@ class TrackManager:
             latest = np.argsort(-table.last_seen_ns[kept], kind="stable")[: self._config.max_tracks]
             kept = kept[np.sort(latest)]
         if len(kept) < len(table):
-            self._row_of_light[table.map_rows[table.map_rows >= 0]] = -1
-            table.keep(kept)
-            self._states.keep(kept)
-            self._place_map_lights()
-            place = dict(zip(kept.tolist(), range(len(kept)), strict=True))
-            self._views = {place[row]: views for row, views in self._views.items() if row in place}
-            if self._reports is not None:
-                self._reports = self._reports.take(kept)
+            self._keep(kept)
         rows = (table.map_rows < 0).nonzero()[0]
         same = len(kept) == len(self._touched) and np.array_equal(rows, self._unmapped_rows)
         if not same:
@@ -413,6 +433,18 @@ class TrackManager:
             if np.count_nonzero(np.abs(positions - self._unmapped_lights.positions) > _MOVED_M):
                 types_kept = np.array_equal(table.types.take(rows), self._unmapped_types)
                 self._unmapped_lights = self._unmapped_lights.at(positions) if types_kept else self._index()
+
+    def _keep(self, kept: IntArray) -> None:
+        """Forget all tracks but these, ascending rows."""
+        table = self._table
+        self._row_of_light[table.map_rows[table.map_rows >= 0]] = -1
+        table.keep(kept)
+        self._states.keep(kept)
+        self._place_map_lights()
+        place = dict(zip(kept.tolist(), range(len(kept)), strict=True))
+        self._views = {place[row]: views for row, views in self._views.items() if row in place}
+        if self._reports is not None:
+            self._reports = self._reports.take(kept)
 
     def _place_map_lights(self) -> None:
         on_map = np.flatnonzero(self._table.map_rows >= 0)

@@ -10,11 +10,12 @@ from autolights.core.boxes import cxcywh_columns
 from autolights.core.shots import Shots
 from autolights.track.alignment import Alignment, AlignmentConfig, CameraHealth, RigAlignment
 from autolights.track.association import Association, associate_pairs, pair_costs
-from autolights.track.known_lights import ANY_CODE, Surroundings
+from autolights.track.known_lights import ANY_CODE, KnownLights, Surroundings
 from autolights.track.lights_in_images import LightsInImages, project_known
 from autolights.track.localization import localize_in_images
 from autolights.track.new_lights import may_be_new
 from autolights.track.observation import SetObservation
+from autolights.track.place_book import PlaceBook
 
 View: TypeAlias = tuple[CameraModel, Pose, Detections]
 
@@ -59,22 +60,29 @@ class Observer:
         self._class_types = np.array([type_names.index(signals.type_of[name]) for name in signals.classes])
         self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
 
-    def project(self, camera: CameraModel, pose: Pose, unmapped: TrafficLightMap) -> LightsInImages:
-        """The known lights in one image, as calibration and pose have them."""
-        return project_known(self._surroundings.around(pose.position, unmapped), Shots.of([camera], [pose]))
+    def project(
+        self, camera: CameraModel, pose: Pose, unmapped: TrafficLightMap, places: PlaceBook | None = None
+    ) -> LightsInImages:
+        """The known lights in one image, as calibration, pose and the places that images have refined have them."""
+        known = self._surroundings.around(pose.position, unmapped)
+        return project_known(known, Shots.of([camera], [pose]), _offsets_m(known, places))
 
-    def observe(self, views: Sequence[View], unmapped: TrafficLightMap) -> SetObservation:
+    def observe(
+        self, views: Sequence[View], unmapped: TrafficLightMap, places: PlaceBook | None = None
+    ) -> SetObservation:
         """Hold images against the lights of the map and the unmapped ones.
 
         Args:
             views: Cameras, the vehicle's poses at their images' stamps, and all detections; at least one image.
             unmapped: Lights that the map does not hold.
+            places: Where lights of the map stand, as far as the images have told; None takes the map's word.
         """
         config = self._config
         ordered = sorted(views, key=lambda view: (view[1].stamp_ns, view[0].name))
         shots = Shots.of([camera for camera, _, _ in ordered], [pose for _, pose, _ in ordered])
         detections, seen_in = self._taking_part([found for _, _, found in ordered])
-        lights = project_known(self._surroundings.around(ordered[-1][1].position, unmapped), shots)
+        around = self._surroundings.around(ordered[-1][1].position, unmapped)
+        lights = project_known(around, shots, _offsets_m(around, places))
         known, seen = cxcywh_columns(lights.boxes_xyxy), cxcywh_columns(detections.boxes_xyxy)
         on_map = lights.indices < self._map_length
         pairs = self._may_be_same(lights, detections, seen_in)
@@ -202,3 +210,7 @@ def _off_map(on_map: BoolArray, association: Association, count: int) -> IntArra
     lights, detections = association.matches.T
     off_map[detections[on_map.take(lights)]] = False
     return off_map.nonzero()[0]
+
+
+def _offsets_m(known: KnownLights, places: PlaceBook | None) -> FloatArray | None:
+    return None if places is None else places.offsets_m(known.rows).T

@@ -24,6 +24,7 @@ class PlaceBook:
     def __init__(self, lights: TrafficLightMap, cameras: Iterable[str], config: PlaceConfig) -> None:
         self._lights = lights
         self.places = LightPlaces(tuple(cameras), config)
+        self._trusted_m = config.projected_sigmas * config.map_m
         # Keys of the places' rows: rows of the map, or −1 − track id.
         self._keys: list[int] = []
         self._row_of_light: IntArray = np.full(len(lights) + 1, -1, dtype=np.int64)  # the last stands for no light
@@ -56,11 +57,44 @@ class PlaceBook:
 
     def place(self, map_id: str | None, track_id: int) -> tuple[FloatArray, FloatArray] | None:
         """(3,) metres and (3, 3) m² of a light, by its name in the map or by its track; None if nothing is known."""
-        if map_id is None:
-            row = self._row_of_track.get(track_id, -1)
-        else:
-            row = int(self._row_of_light[self._lights.ids.index(map_id)])
+        return self.place_of(-1 - track_id if map_id is None else self._lights.ids.index(map_id))
+
+    def place_of(self, key: int) -> tuple[FloatArray, FloatArray] | None:
+        """The same by key: the row of the map, or −1 − track id."""
+        row = int(self._row_of_light[key]) if key >= 0 else self._row_of_track.get(-1 - key, -1)
         return None if row < 0 else (self.places.positions[row], self.places.covariances[row])
+
+    def offsets_m(self, known: IntArray) -> FloatArray:
+        """(n, 3) metres from where lights of the map stand there to where they are to be looked for.
+
+        That is where the images show them, but no farther off than `projected_sigmas` of the map: what was paired
+        wrongly for a while must not draw a light over to its neighbour.
+
+        Args:
+            known: (n,) rows of the map; what counts on from its end are unmapped lights, which have no offset.
+        """
+        offsets = np.zeros((len(known), 3))
+        rows = self._row_of_light[np.minimum(known, len(self._lights))]
+        told = np.flatnonzero(rows >= 0)
+        offsets[told] = self.places.positions[rows[told]] - self._lights.positions[known[told]]
+        lengths = np.sqrt((offsets * offsets).sum(axis=1))
+        offsets *= np.minimum(1.0, self._trusted_m / np.maximum(lengths, 1e-9))[:, None]
+        return offsets
+
+    def merge(self, unmapped: int, other: int, key: int) -> None:
+        """Two lights are one.
+
+        Args:
+            unmapped: Key of an unmapped one, whose evidence goes to the other.
+            other: Key of the other one.
+            key: Of both from now on.
+        """
+        row, into = self._keys.index(unmapped), self._keys.index(other)
+        self.places.merge(into, row)
+        self._seen_ns[into] = max(self._seen_ns[into], self._seen_ns[row])
+        keys = [key if i == into else old for i, old in enumerate(self._keys)]
+        self._index(keys)
+        self._keep(np.delete(np.arange(len(keys)), row))
 
     def rows_of(self, map_rows: IntArray, track_ids: IntArray) -> IntArray:
         """(n,) rows of `places`, −1 where nothing is known, by (n,) rows of the map; where negative by (n,) tracks."""

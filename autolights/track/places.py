@@ -65,6 +65,8 @@ class PlaceConfig(Config):
         drift_deg: How far a mounting wanders in a minute.
         drift_m: How far the constant error of the poses wanders in a minute.
         every_s: Images of a camera that follow sooner say nothing new of a light's place.
+        projected_sigmas: Lights of the map are looked for where the images showed them, but no farther from their place
+            in the map than so many times `map_m`; 0 looks for them where the map has them.
     """
 
     map_m: float = Field(default=0.25, gt=0)
@@ -80,6 +82,7 @@ class PlaceConfig(Config):
     drift_deg: float = Field(default=0.02, ge=0)
     drift_m: float = Field(default=0.05, ge=0)
     every_s: float = Field(default=0.25, ge=0)
+    projected_sigmas: float = Field(default=1.5, ge=0)
 
 
 class LightPlaces:
@@ -143,8 +146,8 @@ class LightPlaces:
             on_map: Whether the positions are the map's.
         """
         m, size = len(positions), self._vectors.shape[1]
-        variance = (self._config.map_m if on_map else _VAGUE_M) ** 2
-        information = np.diag(np.append(np.full(3, 1 / variance), self._config.size_share**-2.0))
+        information = self._prior(on_map=on_map)
+        variance = 1 / information[0, 0]
         rows = {
             "positions": positions,
             "covariances": np.tile(variance * np.eye(3), (m, 1, 1)),
@@ -218,6 +221,25 @@ class LightPlaces:
         for name in _COLUMNS:
             getattr(self, name)[row] = getattr(fresh, name)[0]
 
+    def merge(self, row: int, other: int) -> None:
+        """Let a light take over what boxes told of an unmapped one that is the same; the other is left empty.
+
+        What was known of the other before anything was seen is taken off, so that it counts once.
+        """
+        prior = self._prior(on_map=False)
+        shift = self._origins[other] - self._origins[row]
+        information = self._information[other].copy()
+        information[:_LIGHT, :_LIGHT] -= prior
+        self._information[row] += information
+        self._vectors[row] += self._vectors[other] + information[:, :3] @ shift
+        later = self._last_ns[other] > self._last_ns[row]
+        self._last_places[row, later] = self._last_places[other, later]
+        self._last_ns[row] = np.maximum(self._last_ns[row], self._last_ns[other])
+        self._information[other], self._vectors[other] = 0.0, 0.0
+        self._information[other, :_LIGHT, :_LIGHT] = prior
+        self._active[row], self._active[other] = True, False
+        self._unsettled = True
+
     def settle(self, stamp_ns: int) -> None:
         """Find the most probable positions and shared errors after all that was observed so far."""
         rows = self._active.nonzero()[0]
@@ -263,6 +285,11 @@ class LightPlaces:
         self._shared_information, self._shared_vector = information, vector
         self._shared, self._shared_covariance = shared, covariance
         self._shared_ns, self._camera_ns = values["shared_ns"], list(values["camera_ns"])
+
+    def _prior(self, *, on_map: bool) -> FloatArray:
+        """(4, 4) information about a light before anything is seen of it."""
+        sigma_m = self._config.map_m if on_map else _VAGUE_M
+        return np.diag(np.append(np.full(3, sigma_m**-2.0), self._config.size_share**-2.0))
 
     def _solve(self, rows: IntArray) -> None:
         inverse, ahead, information, vectors = self._eliminated(rows)

@@ -79,6 +79,10 @@ class GroupDisputes:
         """Forget disputes of some tracks."""
         self._since_ms[rows], self.disputed[rows] = -1, False
 
+    def take_over(self, row: int, source: int) -> None:
+        """What is held against the second track is held against the first."""
+        self._since_ms[row], self.disputed[row] = self._since_ms[source], self.disputed[source]
+
     def judge(self, rows: IntArray, groups: IntArray, beliefs: FloatArray, seen: BoolArray, now_ms: int) -> None:
         """Compare lights of one type.
 

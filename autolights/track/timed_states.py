@@ -153,6 +153,16 @@ class TimedStates:
         for t in np.unique(types):
             self._blocks[t] = _join(self._blocks[t], self._fresh(t, np.sort(rows[types == t])))
 
+    def take_over(self, row: int, source: int) -> None:
+        """Two tracks of one type are one light: the first gets what is believed of the second, its group too."""
+        block = self._blocks[int(self._types[row])]
+        to, origin = np.searchsorted(block.rows, (row, source)).tolist()
+        for column in (block.own, block.joined, *(() if block.shared is None else (block.shared,))):
+            column[to] = column[origin]
+        block.settled()
+        self._groups[row], self._looked[row] = self._groups[source], self._looked[source]
+        self._disputes.take_over(row, source)
+
     def let_time_pass(self, stamp_ns: int) -> None:
         """Predict to the stamp of a set of frames."""
         now_ms = round(stamp_ns / 1e6)

@@ -149,6 +149,22 @@ class TrackTable:
         self.information[each] = total
         self.positions[each] += np.linalg.solve(total, told[:, :, 3:])[..., 0]
 
+    def absorb(self, row: int, other: int) -> None:
+        """Two tracks are one light of one type: the first gets what is known of the second; nothing counts twice."""
+        if self.map_rows[row] < 0 and self.map_rows[other] < 0:
+            self.refine_positions(np.array([row]), self.positions[[other]], self.information[[other]])
+        elif self.map_rows[row] < 0:
+            self.information[row] = 0.0
+            for name in ("map_rows", "positions", "headings_deg"):
+                getattr(self, name)[row] = getattr(self, name)[other]
+        if self.last_seen_ns[other] > self.last_seen_ns[row]:
+            for name in ("misses", "missed_ns", "last_seen_ns"):
+                getattr(self, name)[row] = getattr(self, name)[other]
+        self.type_votes[row] += self.type_votes[other]
+        self.hits[row] = max(self.hits[row], self.hits[other])
+        self.alive[row] |= self.alive[other]
+        self.known[row] |= self.known[other]
+
     def to_json(self) -> dict[str, Any]:
         """All columns as JSON-ready values."""
         return {name: getattr(self, name).tolist() for name in _DTYPES}

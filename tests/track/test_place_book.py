@@ -1,7 +1,9 @@
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from autolights.core import TrafficLightMap
 from autolights.pipeline import LightPipeline, PipelineConfig
@@ -45,6 +47,44 @@ def test_what_was_told_before_stays_as_it_was(make_scene: Callable) -> None:
     assert len(kept) > 60
     for estimate, position in kept:
         np.testing.assert_array_equal(estimate.position, position)
+
+
+@pytest.mark.parametrize(("error_m", "left_m"), [(0.3, 0.0), (0.6, 0.225)])
+def test_lights_are_looked_for_where_the_images_showed_them(
+    make_scene: Callable, error_m: float, left_m: float
+) -> None:
+    """Up to 1.5 standard deviations of the map, 0.375 m; what is beyond is left to the gates."""
+    scene = make_scene(LIGHTS, cameras=("narrow", "wide"), speed_mps=10.0)
+    positions = scene.map.positions + np.array([[0.0, error_m, 0.0]]) * (np.array(scene.map.ids) == "a")[:, None]
+    scene.map = replace(scene.map, positions=positions)
+    metres_off = {}
+    for sigmas in (1.5, 0.0):
+        pipeline = scene.pipeline(PipelineConfig(alignment=None, places=PlaceConfig(projected_sigmas=sigmas)))
+        for t in np.arange(0, 3.0, 0.1).tolist():
+            scene.step(pipeline, t)
+        (narrow, *_) = pipeline.explain()["images"]
+        row = narrow["known_lights"].index("a")
+        detection = next(j for i, j in narrow["matches"] if i == row)
+        wanted, found = (np.array(narrow[name]) for name in ("projected_xyxy", "detected_xyxy"))
+        aside_px = abs(wanted[row][[0, 2]].mean() - found[detection][[0, 2]].mean())
+        height_px = np.ptp(found[detection][[1, 3]])
+        metres_off[sigmas] = aside_px / height_px * scene.map.sizes_m[row, 1]
+    assert metres_off[0.0] == pytest.approx(error_m, abs=0.08)
+    assert metres_off[1.5] == pytest.approx(left_m, abs=0.08)
+
+
+def test_offsets_are_those_of_the_lights_that_were_seen(make_scene: Callable) -> None:
+    scene = make_scene(LIGHTS, cameras=("narrow", "wide"), speed_mps=10.0)
+    pipeline = scene.pipeline()
+    book = pipeline._places
+    np.testing.assert_array_equal(book.offsets_m(np.arange(5)), np.zeros((5, 3)))
+    for t in np.arange(0, 1.0, 0.1).tolist():
+        scene.step(pipeline, t)
+    told = book.offsets_m(np.array([2, 0, 3]))
+    for offset, light_id in zip(told, ("new", "a"), strict=False):
+        row = scene.map.ids.index(light_id)
+        np.testing.assert_array_equal(offset, book.place(light_id, 0)[0] - scene.map.positions[row])
+    np.testing.assert_array_equal(told[2], 0.0)
 
 
 def test_without_places_the_map_has_the_last_word(make_scene: Callable) -> None:
