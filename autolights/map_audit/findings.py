@@ -147,7 +147,7 @@ def find(
         mine = [*moved.get(row, ()), *judge.of_map_light(row, already=row in moved)]
         findings += mine
         if not mine:
-            (confirmed if judge.enough(known[light_id].seen) else undecided).append(light_id)
+            (confirmed if judge.is_there(known[light_id]) else undecided).append(light_id)
     findings += judge.missing(unmapped)
     return Findings(
         findings=tuple(sorted(findings, key=lambda finding: KINDS.index(finding.kind))),
@@ -184,6 +184,10 @@ class _Judge:
             return False
         evidence = Evidence(seen=list(shots))
         return len(evidence.drives) > 1 or evidence.way_m >= self._config.min_way_m
+
+    def is_there(self, evidence: Evidence) -> bool:
+        """Whether a light was seen often, and in most of the images that say something of it."""
+        return self.enough(evidence.seen) and evidence.seen_share > self._config.moved_share
 
     def unknown(self, unmapped: Sequence[_Unmapped]) -> list[_Unmapped]:
         """Unmapped lights that are real and no light of the map seen double."""

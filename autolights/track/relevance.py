@@ -59,6 +59,7 @@ class Relevance:
         self._tree = cKDTree(lights.positions[:, :2]) if len(lights) else None
         self._least_facing = float(np.cos(np.radians(config.facing_deg)))
         self._unmapped: TrafficLightMap | None = None
+        self._looked_up: tuple[tuple[str, ...], bytes] = ((), b"")
         self._of_track: dict[str, tuple[str, float, float]] = {}
         self._on_lanes: frozenset[str] = frozenset()
 
@@ -87,7 +88,12 @@ class Relevance:
             lanes = self._lanes.under(pose)
         self._on_lanes = on_lanes = frozenset(lanes or ())
         if unmapped is not self._unmapped:
-            self._unmapped, self._of_track = unmapped, self._look_up(unmapped)
+            self._unmapped = unmapped
+            # Filters move lights a little all the time: to the metre they stay, and so does what is known of them.
+            places = unmapped.positions[:, :2].round()
+            looked_up = unmapped.ids, places.tobytes()
+            if looked_up != self._looked_up:
+                self._looked_up, self._of_track = looked_up, self._look_up(unmapped, places)
 
         x, y = pose.utm_from_ins[:2, 0].tolist()
         length = math.hypot(x, y) or 1.0
@@ -126,13 +132,12 @@ class Relevance:
         """What the latest estimates were judged by, as JSON-ready values: the lanes that the vehicle is on."""
         return {"lanes": sorted(self._on_lanes)}
 
-    def _look_up(self, unmapped: TrafficLightMap) -> dict[str, tuple[str, float, float]]:
+    def _look_up(self, unmapped: TrafficLightMap, places: FloatArray) -> dict[str, tuple[str, float, float]]:
         """By track: intersection, and east and north of the way its face looks.
 
         The intersection is that of the nearest light of the map, or one of unmapped lights alone.
         """
         n, limit_m = len(unmapped), self._config.cluster_m
-        places = unmapped.positions[:, :2]
         names = [""] * n
         if self._tree is not None and n:
             distances_m, rows = self._tree.query(places, distance_upper_bound=limit_m)

@@ -48,6 +48,39 @@ def test_estimates_go_on_from_a_saved_state(make_scene: Callable, name: str) -> 
     assert len(step(first, 59)) == 4
 
 
+def test_a_long_drive_goes_on_from_wherever_it_was_saved(make_scene: Callable) -> None:
+    """Past the moment at which lights that were passed are settled for good; places, relevance and duplicates too."""
+    lights = {
+        **LIGHTS,
+        "c": ("3", (150.0, 1.0, 5.0), lambda t: "3-red"),
+        "new2": ("3", (150.0, -3.0, 5.0), lambda t: "3-red"),
+        "twin": ("3", (150.3, -3.3, 5.2), lambda t: "3-red" if t > 15 else None),
+    }
+    off_map = frozenset({"new", "new2", "twin"})
+    scene = make_scene(lights, off_map=off_map, cameras=("narrow", "wide"), speed_mps=6.0, noise_px=0.5)
+    times = np.arange(0, 24.0, 0.2)
+    shots = [[scene.detect(camera, t) for camera in scene.rig] for t in times]
+
+    def step(pipeline, i):
+        told = pipeline.step_detections(scene.shots(times[i]), shots[i])
+        # The last digits hang on how arrays lie in memory.
+        return [e.to_json() | {"covariance": np.round(e.covariance, 9).tolist()} for e in told]
+
+    first, saved, restored = scene.pipeline(), {}, {}
+    for i in range(len(times)):
+        if i in (20, 70, 95):
+            saved[i] = json.loads(json.dumps(first.to_json()))
+            restored[i] = scene.pipeline()
+            restored[i].restore(saved[i])
+        told = step(first, i)
+        for pipeline in restored.values():
+            assert step(pipeline, i) == told
+    assert any(light["governs"] and light["covariance"] for light in told)
+    active = [state["places"]["places"]["lights"]["_active"] for state in (saved[20], first.to_json())]
+    assert all(active[0]), "nothing was settled yet"
+    assert not all(active[1]), "the lights that were passed are"
+
+
 def test_a_state_of_something_else_is_refused(make_scene: Callable) -> None:
     scene = make_scene(LIGHTS)
     pipeline = scene.pipeline()
