@@ -297,13 +297,15 @@ class _Problem:
         """Let all pairs of one image vote."""
         lights = (self.effect.images == image).nonzero()[0]
         mine = (self.effect.images.take(self.lights) == image).nonzero()[0]
-        detections, columns = np.unique(self.detections.take(mine), return_inverse=True)
-        rows = self.lights.take(mine) - (lights[0] if len(lights) else 0)
-        like = np.zeros((len(lights), len(detections)), dtype=bool)
-        offsets = np.zeros((*like.shape, 2))
-        like[rows, columns] = True
-        offsets[rows, columns] = self.offsets_px.take(mine, axis=1).T
-        return vote(offsets, like, self.effect.take(lights).jacobians(), self.sigmas_px.take(lights), prior)
+        rows, columns = self.lights.take(mine), self.detections.take(mine)
+        return vote(
+            self.offsets_px.take(mine, axis=1),
+            rows - lights[0],
+            columns - columns.min(initial=0),
+            self.effect.take(lights).jacobians(),
+            self.sigmas_px.take(lights),
+            prior,
+        )
 
 
 # Where in the sums of `_Problem._fit` the elements of JᵀJ stand, and those of Jᵀ o.

@@ -6,7 +6,7 @@ References:
 
 import numpy as np
 
-from autolights.core import BoolArray, FloatArray
+from autolights.core import FloatArray, IntArray
 
 MAX_HEIGHT_RATIO = 1.6  # of a pair's boxes; half-hidden heads are left out of the vote
 SEARCH_SIGMAS = 3.5  # of what was expected
@@ -18,13 +18,19 @@ _AMBIGUOUS = 1.0  # two errors whose votes differ by less are both possible
 
 
 def vote(
-    offsets: FloatArray, like: BoolArray, jacobians: FloatArray, sigmas_px: FloatArray, prior: FloatArray
+    offsets_px: FloatArray,
+    lights: IntArray,
+    detections: IntArray,
+    jacobians: FloatArray,
+    sigmas_px: FloatArray,
+    prior: FloatArray,
 ) -> tuple[FloatArray, FloatArray, int, bool]:
-    """The error that explains most pairs.
+    """The error that explains most of k pairs.
 
     Args:
-        offsets: (n, m, 2) pixels from each light to each detection.
-        like: (n, m) pairs that may vote.
+        offsets_px: (2, k) from each pair's light to its detection.
+        lights: (k,) rows of the n lights, ascending.
+        detections: (k,) numbers from 0; each pair comes once.
         jacobians: (n, 2, 4) pixels per unit of the error.
         sigmas_px: (n,) of a pair with the right error.
         prior: (4, 4) covariance of the error, whose mean is 0.
@@ -32,58 +38,75 @@ def vote(
     Returns:
         (4,) error, (4, 4) its covariance, the number of pairs that agree, and whether it is beyond doubt.
     """
-    lights, detections = np.nonzero(like)
     if not len(lights):
         return np.zeros(4), prior, 0, False
-    # Of all errors that bring a light onto a detection, the most probable one: P Jᵀ (J P Jᵀ)⁻¹ d.
-    spread = jacobians @ prior @ jacobians.swapaxes(1, 2)
-    gains = prior @ jacobians.swapaxes(1, 2) @ np.linalg.inv(spread)
-    proposals = np.einsum("cij,cj->ci", gains[lights], offsets[lights, detections])
     precision = np.linalg.inv(prior)
-    surprise = np.einsum("ci,ij,cj->c", proposals, precision, proposals)
-    order = np.argsort(surprise)[:_MAX_PROPOSALS]
-    order = order[surprise[order] < SEARCH_SIGMAS**2]
-    proposals = np.concatenate([np.zeros((1, 4)), proposals[order]])
-    penalties = np.concatenate([[0.0], surprise[order]]) / 2
-
-    squares = _squares(offsets, like, jacobians, sigmas_px, proposals)
+    proposals, penalties = _proposals(offsets_px, lights, jacobians, prior, precision)
+    moved_px = jacobians.reshape(-1, 4) @ proposals.T  # (2 n, proposals)
+    squares = _squares(offsets_px, lights, moved_px, sigmas_px)
     agreement = np.maximum(_GAIN - squares / 2, 0.0)
     # One detection cannot speak for two lights, nor one light for two detections.
-    votes = np.minimum(agreement.max(axis=2).sum(axis=1), agreement.max(axis=1).sum(axis=1)) - penalties
+    votes = np.minimum(_best_of_each(agreement, lights), _best_of_each(agreement, detections)) - penalties
     best = int(np.argmax(votes))
     if votes[best] <= 0:
         return np.zeros(4), prior, 0, False
-    error, covariance, pairs = _fit(squares[best], offsets, jacobians, sigmas_px, precision)
-    if pairs < 2:
+    pairs = (offsets_px, lights, detections)
+    error, covariance, count = _fit(squares[:, best], pairs, jacobians, sigmas_px, precision)
+    if count < 2:
         # One pair alone may be the neighbour. It sharpens what is known, if it agrees with it.
-        error, covariance, pairs = _fit(squares[0], offsets, jacobians, sigmas_px, precision)
-        return error, covariance, pairs, pairs > 0
-    moved_px = np.abs(jacobians @ (proposals - proposals[best]).T).max(axis=(0, 1))
-    others = moved_px > AMBIGUOUS_SIGMAS * sigmas_px.max()
+        error, covariance, count = _fit(squares[:, 0], pairs, jacobians, sigmas_px, precision)
+        return error, covariance, count, count > 0
+    apart_px = np.abs(moved_px - moved_px[:, best, None]).max(axis=0)
+    others = apart_px > AMBIGUOUS_SIGMAS * sigmas_px.max()
     sure = votes[best] - votes[others].max(initial=-np.inf) > _AMBIGUOUS
-    return error, covariance, pairs, bool(sure)
+    return error, covariance, count, bool(sure)
 
 
-def _squares(
-    offsets: FloatArray, like: BoolArray, jacobians: FloatArray, sigmas_px: FloatArray, errors: FloatArray
-) -> FloatArray:
-    """(c, n, m) squared distances in standard deviations with each of (c, 4) errors; infinite where not alike."""
-    moved = (jacobians @ errors.T).transpose(2, 0, 1)
-    rest = offsets[None] - moved[:, :, None, :]
-    squares = (rest[..., 0] ** 2 + rest[..., 1] ** 2) / (sigmas_px**2)[None, :, None]
-    squares[:, ~like] = np.inf
-    return np.asarray(squares)
+def _proposals(
+    offsets_px: FloatArray, lights: IntArray, jacobians: FloatArray, prior: FloatArray, precision: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(c, 4) errors to vote on, no error at all first, and (c,) how much speaks against each beforehand."""
+    # Of all errors that bring a light onto a detection, the most probable one: P Jᵀ (J P Jᵀ)⁻¹ o.
+    turned = jacobians.swapaxes(1, 2)
+    gains = prior @ turned @ np.linalg.inv(jacobians @ prior @ turned)
+    every = (gains.take(lights, axis=0) @ offsets_px.T[:, :, None])[..., 0]
+    surprise = ((every @ precision) * every).sum(axis=1)
+    order = np.argsort(surprise)[:_MAX_PROPOSALS]
+    order = order[surprise[order] < SEARCH_SIGMAS**2]
+    proposals = np.concatenate([np.zeros((1, 4)), every[order]])
+    return proposals, np.concatenate([[0.0], surprise[order]]) / 2
+
+
+def _squares(offsets_px: FloatArray, lights: IntArray, moved_px: FloatArray, sigmas_px: FloatArray) -> FloatArray:
+    """(k, c) squared distances of pairs in standard deviations under c errors, which move lights by (2 n, c) pixels."""
+    right = offsets_px[0][:, None] - moved_px.take(2 * lights, axis=0)
+    down = offsets_px[1][:, None] - moved_px.take(2 * lights + 1, axis=0)
+    return np.asarray((right * right + down * down) / np.square(sigmas_px).take(lights)[:, None])
+
+
+def _best_of_each(agreement: FloatArray, members: IntArray) -> FloatArray:
+    """(c,) sums, over lights or detections, of the best agreement of each; (k, c) by pairs, and whose each pair is."""
+    order = np.argsort(members, kind="stable")
+    ordered = members[order]
+    starts = np.concatenate([[0], (ordered[1:] != ordered[:-1]).nonzero()[0] + 1])
+    return np.asarray(np.maximum.reduceat(agreement.take(order, axis=0), starts, axis=0).sum(axis=0))
 
 
 def _fit(
-    squares: FloatArray, offsets: FloatArray, jacobians: FloatArray, sigmas_px: FloatArray, precision: FloatArray
+    squares: FloatArray,
+    pairs: tuple[FloatArray, IntArray, IntArray],
+    jacobians: FloatArray,
+    sigmas_px: FloatArray,
+    precision: FloatArray,
 ) -> tuple[FloatArray, FloatArray, int]:
     """Weighted least squares over the pairs that are each other's nearest, with the prior as one more equation."""
-    nearest, back = squares.argmin(axis=1), squares.argmin(axis=0)
-    rows = np.arange(len(squares))
-    lights = rows[(back[nearest] == rows) & (squares[rows, nearest] < 2 * _GAIN)]
-    chosen = jacobians[lights].reshape(-1, 4)
-    weighted = chosen / np.repeat(sigmas_px[lights] ** 2, 2)[:, None]
-    covariance = np.linalg.inv(precision + weighted.T @ chosen)
-    error = covariance @ (weighted.T @ offsets[lights, nearest[lights]].reshape(-1))
-    return error, covariance, len(lights)
+    offsets_px, lights, detections = pairs
+    table = np.full((len(jacobians), int(detections.max()) + 1), np.inf)
+    table[lights, detections] = squares
+    nearest, back = table.argmin(axis=1).take(lights), table.argmin(axis=0).take(detections)
+    chosen = ((nearest == detections) & (back == lights) & (squares < 2 * _GAIN)).nonzero()[0]
+    used = lights.take(chosen)
+    lines = jacobians.take(used, axis=0).reshape(-1, 4)
+    weighted = lines / np.square(sigmas_px).take(used).repeat(2)[:, None]
+    covariance = np.linalg.inv(precision + weighted.T @ lines)
+    return covariance @ (weighted.T @ offsets_px.take(chosen, axis=1).T.ravel()), covariance, len(used)
