@@ -247,7 +247,8 @@ def detect(
     """The truth with jitter, one in twenty missed, one class in ten wrong; arrow lights flash."""
     corners = light_corners(lights.positions, lights.headings_deg, lights.sizes_m)
     boxes = project_corners(corners, camera, camera.cam_from_ins @ invert_rigid(pose.utm_from_ins))
-    seen = ~np.isnan(boxes).any(axis=1) & (rng.random(len(lights)) > 0.05)
+    inside = (boxes[:, :2] >= 0).all(axis=1) & (boxes[:, 2:] <= camera.size_wh).all(axis=1)  # NaN compares false
+    seen = inside & (rng.random(len(lights)) > 0.05)
     class_probs = np.full((len(lights), len(signals.classes)), 0.02)
     for i, light_type in enumerate(lights.types):
         states = signals.states_of(light_type)
@@ -259,7 +260,7 @@ def detect(
             shown = states[int(rng.integers(len(states)))]
         class_probs[i, signals.class_ids[shown]] = 0.85
     boxes = boxes + rng.normal(0, 1, boxes.shape)
-    return Detections(boxes, np.full(len(lights), 0.9), class_probs)[seen]
+    return Detections(boxes[seen], np.full(len(lights), 0.9)[seen], class_probs[seen])
 
 
 if __name__ == "__main__":

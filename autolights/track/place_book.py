@@ -44,12 +44,8 @@ class PlaceBook:
         if len(lights):
             rows = self._rows(observations.projected.indices[lights], unmapped)
             boxes_xyxy = observations.detections.boxes_xyxy[detections]
-            images, shots = observations.known_in[lights], observations.shots
-            bounds = np.searchsorted(images, range(len(shots) + 1)).tolist()
-            for image, camera in enumerate(shots.optics.cameras):
-                here = slice(bounds[image], bounds[image + 1])
-                if here.start < here.stop:
-                    self.places.observe(rows[here], boxes_xyxy[here], camera, shots.poses[image])
+            images = observations.known_in.take(lights)
+            self.places.observe_set(rows, boxes_xyxy, observations.shots, images)
             self._seen_ns[rows] = stamp_ns
         self.places.settle(stamp_ns)
         if len(self._keys) > _MAX_LIGHTS:

@@ -22,9 +22,9 @@ import numpy as np
 from pydantic import Field
 
 from autolights.core import BoolArray, CameraModel, Config, FloatArray, IntArray, Pose
-from autolights.core.camera import back_project
+from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners
-from autolights.core.transforms import invert_rigid
+from autolights.core.shots import Shots
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
 _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hidden heads
@@ -182,34 +182,47 @@ class LightPlaces:
             camera: One of the cameras.
             pose: The vehicle's at the image's stamp.
         """
-        number = self._cameras[camera.name]
-        if abs(pose.stamp_ns - self._camera_ns[number]) >= self._config.every_s * 1e9:
-            due = np.ones(len(rows), dtype=bool)
-            self._camera_ns[number] = pose.stamp_ns
-        else:
-            due = self._last_ns[:, number].take(rows) == _NEVER_NS
-            if not np.count_nonzero(due):
-                return
+        self.observe_set(rows, boxes_xyxy, Shots.of([camera], [pose]), np.zeros(len(rows), dtype=np.int64))
+
+    def observe_set(self, rows: IntArray, boxes_xyxy: FloatArray, shots: Shots, images: IntArray) -> None:
+        """`observe` for several images at once.
+
+        Args:
+            rows: (m,) lights, in one image each once.
+            boxes_xyxy: (m, 4) pixels, edge coordinates, of their detections.
+            shots: The images.
+            images: (m,) which image each box lies in, ascending.
+        """
+        numbers = np.array([self._cameras[camera.name] for camera in shots.optics.cameras])
+        due = self._due(rows, shots, images, numbers.tolist())
+        if not np.count_nonzero(due):
+            return
         due &= (boxes_xyxy[:, :2] >= _EDGE_PX).all(axis=1)
-        due &= (boxes_xyxy[:, 2:] <= np.array(camera.size_wh) - _EDGE_PX).all(axis=1)
-        rows, boxes_xyxy = rows[due], boxes_xyxy[due]
-        first = _LIGHT + _POSE + 3 * number
-        expected, jacobian, depths_m = self._expected(rows, first, camera, pose)
-        variances = self._variances(boxes_xyxy, depths_m, camera)
-        difference = _measured(boxes_xyxy, camera) - expected
+        due &= (boxes_xyxy[:, 2:] <= shots.optics.size_wh.T.take(images, axis=0) - _EDGE_PX).all(axis=1)
+        rows, boxes, images = rows[due], cxcywh_columns(boxes_xyxy[due]), images[due]
+        expected, jacobian, depths_m = self._expected(rows, shots, images, numbers)
+        variances = self._variances(boxes[3], depths_m, shots, images)
+        difference = _measured(boxes, shots, images) - expected
         of_place, of_shared = jacobian[..., :3], jacobian[..., _LIGHT:]
-        doubt = ((of_place @ self.covariances[rows]) * of_place).sum(axis=-1)
+        doubt = ((of_place @ self.covariances.take(rows, axis=0)) * of_place).sum(axis=-1)
         doubt += ((of_shared @ self._shared_covariance) * of_shared).sum(axis=-1)
         surprise = np.sqrt((difference**2 / (variances + doubt)).sum(axis=1))
-        weights = self._news(rows, number, pose) * np.minimum(1.0, _HUBER / np.maximum(surprise, 1e-9))
+        news = self._news(rows, numbers.take(images), shots, images)
+        weights = news * np.minimum(1.0, _HUBER / np.maximum(surprise, 1e-9))
 
         # Linear in the unknowns themselves, not in their changes: z − h(x̂) + J x̂ = J x + noise.
-        told = difference + (jacobian[..., :_LIGHT] @ self._found[rows][..., None])[..., 0] + of_shared @ self._shared
+        found = self._found.take(rows, axis=0)
+        told = difference + (jacobian[..., :_LIGHT] @ found[..., None])[..., 0] + of_shared @ self._shared
         scaled = (jacobian * (weights[:, None] / variances)[..., None]).swapaxes(1, 2)
-        self._information[rows] += scaled @ jacobian
-        self._vectors[rows] += (scaled @ told[..., None])[..., 0]
-        self._last_ns[rows, number] = pose.stamp_ns
-        self._last_places[rows, number] = pose.position
+        information, vectors = scaled @ jacobian, (scaled @ told[..., None])[..., 0]
+        bounds = np.searchsorted(images, range(len(shots) + 1)).tolist()
+        for image, number in enumerate(numbers.tolist()):  # of two images, a light gets what both tell
+            here = slice(bounds[image], bounds[image + 1])
+            mine = rows[here]
+            self._information[mine] += information[here]
+            self._vectors[mine] += vectors[here]
+            self._last_ns[mine, number] = shots.poses[image].stamp_ns
+            self._last_places[mine, number] = shots.vehicle[image]
         self._active[rows] = True
         self._unsettled = True
 
@@ -341,43 +354,57 @@ class LightPlaces:
         self._shared_information = np.linalg.inv(covariance * np.outer(shrink, shrink))
         self._shared_vector = self._shared_information @ mean
 
+    def _due(self, rows: IntArray, shots: Shots, images: IntArray, numbers: list[int]) -> BoolArray:
+        """(m,) whether something new is told: of each camera now and then all, else what it has not told of before."""
+        due = self._last_ns.take(rows * len(self._cameras) + np.array(numbers).take(images)) == _NEVER_NS
+        for image in np.unique(images).tolist():
+            number, stamp_ns = numbers[image], shots.poses[image].stamp_ns
+            if abs(stamp_ns - self._camera_ns[number]) >= self._config.every_s * 1e9:
+                due |= images == image
+                self._camera_ns[number] = stamp_ns
+        return np.asarray(due)
+
     def _expected(
-        self, rows: IntArray, first: int, camera: CameraModel, pose: Pose
+        self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What `_measured` should give, how it depends on the unknowns, and how far away the lights are.
 
         Args:
             rows: (m,) lights.
-            first: Column of the camera's first angle.
-            camera: The camera.
-            pose: The vehicle's, as given.
+            shots: The images.
+            images: (m,) which image each light is in.
+            numbers: (s,) of the images' cameras.
 
         Returns:
             (m, 3) of `_measured`; (m, 3, u) per unit of the unknowns; (m,) metres along the camera's axis.
         """
-        cam_from_utm = camera.cam_from_ins @ invert_rigid(pose.utm_from_ins)
-        position_error, (a, b, c) = self._shared[:_POSE], self._shared[first - _LIGHT :][:3].tolist()
+        m, every = len(rows), np.arange(len(rows))
+        firsts = _LIGHT + _POSE + 3 * numbers  # column of each camera's first angle
+        turns = self._shared[firsts[:, None] - _LIGHT + np.arange(3)]
         # The world is seen turned by small angles w: q + w × q.
-        rotation = np.array([[1, -c, b], [c, 1, -a], [-b, a, 1]]) @ cam_from_utm[:3, :3]
-        lens = position_error - cam_from_utm[:3, :3].T @ cam_from_utm[:3, 3]
-        rays = self.positions[rows] - lens
-        depths_m = np.maximum(rays @ rotation[2], _NEAREST_M)
-        points = (rays[:, None] + self._housings[rows] * np.exp(self._found[rows, 3])[:, None, None]) @ rotation.T
-        outline = points[..., :2] / np.maximum(points[..., 2:], _NEAREST_M)
-        lows, highs = outline.min(axis=1), outline.max(axis=1)
-        expected = np.column_stack([(lows + highs) / 2, highs[:, 1] - lows[:, 1]])
+        turned = np.broadcast_to(np.eye(3), (len(turns), 3, 3)).copy()
+        turned[:, [2, 0, 1], [1, 2, 0]] += turns
+        turned[:, [1, 2, 0], [2, 0, 1]] -= turns
+        rotation = (turned @ shots.cam_from_utm).take(images, axis=0)
+        rays = self.positions.take(rows, axis=0) - (shots.lens + self._shared[:_POSE]).take(images, axis=0)
+        depths_m = np.maximum((rays * rotation[:, 2]).sum(axis=1), _NEAREST_M)
+        swollen = self._housings.take(rows, axis=0) * np.exp(self._found.take(rows * _LIGHT + 3))[:, None, None]
+        corners = ((rays[:, None] + swollen) @ rotation.swapaxes(1, 2)).transpose(2, 1, 0).copy()  # (3, 8, m)
+        outline = corners[:2] / np.maximum(corners[2], _NEAREST_M)
+        lows, highs = np.minimum.reduce(outline, axis=1), np.maximum.reduce(outline, axis=1)
+        (x, y), height = (lows + highs) / 2, highs[1] - lows[1]
+        expected = np.array([x, y, height]).T
 
-        x, y, height = expected.T
-        jacobian = np.zeros((len(rows), 3, self._vectors.shape[1]))
+        jacobian = np.zeros((m, 3, self._vectors.shape[1]))
         scaled = rotation / depths_m[:, None, None]
         jacobian[:, :2, :3] = scaled[:, :2]
         jacobian[..., :3] -= expected[..., None] * scaled[:, 2:]
         jacobian[:, 2, 3] = height
         jacobian[..., _LIGHT : _LIGHT + _POSE] = -jacobian[..., :3]
         # About the axes to the right, down and ahead.
-        jacobian[:, 0, first : first + 3] = np.stack([-x * y, 1 + x * x, -y], axis=1)
-        jacobian[:, 1, first : first + 3] = np.stack([-1 - y * y, x * y, x], axis=1)
-        jacobian[:, 2, first], jacobian[:, 2, first + 1] = -height * y, height * x
+        by_angles = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [-height * y, height * x, 0 * x]])
+        columns = firsts.take(images)[:, None] + np.arange(3)
+        jacobian[every[:, None, None], np.arange(3)[:, None], columns[:, None]] = by_angles.transpose(2, 0, 1)
         return expected, jacobian, depths_m
 
     def _columns(self, camera: str) -> IntArray:
@@ -385,31 +412,48 @@ class LightPlaces:
         start = _POSE + 3 * self._cameras[camera]
         return np.array([0, 1, 2, start, start + 1, start + 2])
 
-    def _variances(self, boxes_xyxy: FloatArray, depths_m: FloatArray, camera: CameraModel) -> FloatArray:
+    def _variances(self, heights_px: FloatArray, depths_m: FloatArray, shots: Shots, images: IntArray) -> FloatArray:
         """(m, 3) of directions and angular heights: edges of boxes, and the vehicle's wandering."""
         config = self._config
-        focal_px = np.array([camera.intrinsics[0, 0], camera.intrinsics[1, 1]])
-        edges = config.box_px**2 + (config.box_share * (boxes_xyxy[:, 3] - boxes_xyxy[:, 1])) ** 2
+        focal_px = shots.optics.focal_px.take(images, axis=1)
+        edges = config.box_px**2 + (config.box_share * heights_px) ** 2
+        of_edges = edges / (focal_px * focal_px)
         wander = np.radians(config.wander_deg) ** 2 + (config.wander_m / depths_m) ** 2
-        return np.concatenate(
-            [edges[:, None] / 2 / focal_px**2 + wander[:, None], 2 * edges[:, None] / focal_px[1] ** 2], axis=1
-        )
+        variances = np.empty((len(edges), 3))
+        variances[:, :2] = (of_edges / 2 + wander).T
+        variances[:, 2] = 2 * of_edges[1]
+        return variances
 
-    def _news(self, rows: IntArray, number: int, pose: Pose) -> FloatArray:
+    def _news(self, rows: IntArray, numbers: IntArray, shots: Shots, images: IntArray) -> FloatArray:
         """(m,) how much of an independent observation each is, (1 − ρ) / (1 + ρ) for a correlation ρ with the last."""
-        way_m = np.linalg.norm(pose.position - self._last_places[rows, number], axis=1)
-        elapsed_s = np.abs(pose.stamp_ns - self._last_ns[rows, number]) / 1e9
+        way = shots.vehicle.take(images, axis=0) - self._last_places[rows, numbers]
+        way_m = np.sqrt((way * way).sum(axis=1))
+        stamps_ns = np.array([pose.stamp_ns for pose in shots.poses])
+        elapsed_s = np.abs(stamps_ns.take(images) - self._last_ns[rows, numbers]) / 1e9
         # (1 − e^−u) / (1 + e^−u) = tanh(u / 2)
         return np.asarray(
             np.tanh((way_m / self._config.decorrelation_m + elapsed_s / self._config.decorrelation_s) / 2)
         )
 
 
-def _measured(boxes_xyxy: FloatArray, camera: CameraModel) -> FloatArray:
-    """(m, 3) x and y of each box's centre on the plane z = 1, and its height there; distortion is taken off."""
-    left, top, right, bottom = boxes_xyxy.T - 0.5
-    across, middle = (left + right) / 2, (top + bottom) / 2
-    u, v = np.concatenate([left, right, across, across]), np.concatenate([middle, middle, top, bottom])
-    lefts, rights, tops, bottoms = back_project(np.stack([u, v], axis=1), camera).reshape(4, -1, 3)
-    x, low, high = (lefts[:, 0] + rights[:, 0]) / 2, tops[:, 1], bottoms[:, 1]
-    return np.stack([x, (low + high) / 2, high - low], axis=1)
+def _measured(boxes: FloatArray, shots: Shots, images: IntArray) -> FloatArray:
+    """(m, 3) x and y of each box's centre on the plane z = 1, and its height there; distortion is taken off.
+
+    Args:
+        boxes: (4, m) centres, widths and heights, pixels.
+        shots: The images.
+        images: (m,) which image each box lies in, ascending.
+    """
+    centres, halves = boxes[:2] - 0.5, boxes[2:] / 2  # points count from the centre of the top-left pixel
+    points_px = centres[:, :, None] + halves[:, :, None] * _EDGE_MIDDLES[:, None]
+    left, right, top, bottom = np.moveaxis(
+        shots.back_project(points_px.reshape(2, -1), images.repeat(4)).reshape(2, -1, 4), 2, 0
+    )
+    measured = np.empty((boxes.shape[1], 3))
+    measured[:, 0] = (left[0] + right[0]) / 2
+    measured[:, 1] = (top[1] + bottom[1]) / 2
+    measured[:, 2] = bottom[1] - top[1]
+    return measured
+
+
+_EDGE_MIDDLES = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])  # of a box's left, right, top and bottom

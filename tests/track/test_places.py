@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from autolights.core import CameraModel, Pose
+from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners, project_corners
+from autolights.core.shots import Shots
 from autolights.core.transforms import CAMERA_AXES_FROM_VEHICLE_AXES, invert_rigid, rigid
 from autolights.track.places import LightPlaces, PlaceConfig, _measured
 
@@ -96,9 +98,10 @@ def test_jacobians_are_the_numeric_ones() -> None:
     places = LightPlaces(["left", "front"], PlaceConfig())
     rows = fill(places, row_of_lights())
     pose = pose_at(20.0, 0)
-    first = 4 + 3 + 3
-    expected, jacobian, depths_m = places._expected(rows, first, camera, pose)
-    np.testing.assert_allclose(expected, _measured(boxes_of(places.positions, camera, pose), camera), atol=2e-5)
+    one, zeros, second = Shots.of([camera], [pose]), np.zeros(len(rows), dtype=int), np.array([1])
+    expected, jacobian, depths_m = places._expected(rows, one, zeros, second)
+    boxes = cxcywh_columns(boxes_of(places.positions, camera, pose))
+    np.testing.assert_allclose(expected, _measured(boxes, one, zeros), atol=2e-5)
     assert depths_m == pytest.approx([40.0 - 0.5, 41.0 - 0.5] * 2, abs=1e-6)
 
     def moved(column: int, by: float) -> np.ndarray:
@@ -107,7 +110,7 @@ def test_jacobians_are_the_numeric_ones() -> None:
         offset[column] = by
         places.positions = positions + offset[:3]
         places._found, places._shared = found + offset[:4], shared + offset[4:]
-        result, _, _ = places._expected(rows, first, camera, pose)
+        result, _, _ = places._expected(rows, one, zeros, second)
         places.positions, places._found, places._shared = positions, found, shared
         return result
 
@@ -118,6 +121,31 @@ def test_jacobians_are_the_numeric_ones() -> None:
         # Depth within the housing is left aside: 1 % of the row's largest entry.
         tolerance = 0.012 * max(float(scale[column]), float(np.abs(numeric).max()))
         np.testing.assert_allclose(jacobian[..., column], numeric, atol=max(tolerance, 1e-9), err_msg=str(column))
+
+
+def test_images_at_once_tell_what_they_tell_one_by_one() -> None:
+    rng = np.random.default_rng(3)
+    cameras = [make_camera("left"), make_camera("front")]
+    one, other = (LightPlaces(["front", "left"], PlaceConfig()) for _ in range(2))
+    rows = fill(one, row_of_lights())
+    fill(other, row_of_lights())
+    for i in range(6):
+        poses = [pose_at(2.0 * i, i * 200_000_000), pose_at(2.0 * i + 0.1, i * 200_000_000 + 5_000_000)]
+        boxes = [
+            boxes_of(row_of_lights() + 0.1, camera, pose) + rng.normal(0, 0.5, (len(rows), 4))
+            for camera, pose in zip(cameras, poses, strict=True)
+        ]
+        some = [rows, rows[1:]]
+        for mine, camera, pose, box in zip(some, cameras, poses, boxes, strict=True):
+            one.observe(mine, box[mine], camera, pose)
+        images = np.repeat([0, 1], [len(mine) for mine in some])
+        together = np.concatenate([boxes[0], boxes[1][1:]])
+        other.observe_set(np.concatenate(some), together, Shots.of(cameras, poses), images)
+        for places in (one, other):
+            places.settle(i * 200_000_000)
+    np.testing.assert_allclose(other.positions, one.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(other.covariances, one.covariances, rtol=1e-9)
+    np.testing.assert_array_equal(other._last_ns, one._last_ns)
 
 
 def test_the_arrow_is_solved_exactly() -> None:
@@ -150,14 +178,15 @@ def test_one_light_with_perfect_cameras_is_a_kalman_filter() -> None:
     places = LightPlaces(["front"], config)
     rows = fill(places, row_of_lights(1))
     boxes = boxes_of(row_of_lights(1) + np.array([0.3, 0.05, -0.04]), camera, pose) + rng.normal(0, 0.2, (1, 4))
-    expected, jacobian, depths_m = places._expected(rows, 7, camera, pose)
-    h, r = jacobian[0, :, :3], np.diag(places._variances(boxes, depths_m, camera)[0])
+    one, zeros, columns = Shots.of([camera], [pose]), np.zeros(1, dtype=int), cxcywh_columns(boxes)
+    expected, jacobian, depths_m = places._expected(rows, one, zeros, zeros)
+    h, r = jacobian[0, :, :3], np.diag(places._variances(columns[3], depths_m, one, zeros)[0])
     prior = np.eye(3) * config.map_m**2
     gain = prior @ h.T @ np.linalg.inv(h @ prior @ h.T + r)
     places.observe(rows, boxes, camera, pose)
     places.settle(0)
     np.testing.assert_allclose(
-        places.positions[0] - row_of_lights(1)[0], gain @ (_measured(boxes, camera) - expected)[0], atol=1e-4
+        places.positions[0] - row_of_lights(1)[0], gain @ (_measured(columns, one, zeros) - expected)[0], atol=1e-4
     )
     np.testing.assert_allclose(places.covariances[0], (np.eye(3) - gain @ h) @ prior, atol=1e-5)
 
