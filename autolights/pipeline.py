@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol, Self, cast
 
+import numpy as np
 from pydantic import Field
 
 from autolights.core import (
@@ -342,8 +343,9 @@ class LightPipeline:
                 self._skip(NO_POSE, 1, f"camera '{frame.camera}': {error}")
                 continue
             # A box without area has no size to be placed by.
-            sides = found.boxes_xyxy[:, 2:] - found.boxes_xyxy[:, :2]
-            yield self._cameras[frame.camera], pose, found if (sides > 0).all() else found[area(found.boxes_xyxy) > 0]
+            if np.count_nonzero(found.boxes_xyxy[:, 2:] <= found.boxes_xyxy[:, :2]):
+                found = found[area(found.boxes_xyxy) > 0]
+            yield self._cameras[frame.camera], pose, found
 
     def _begin_anew(self) -> None:
         """The clock was set back: states and shifts belong to another time, places and track ids do not."""

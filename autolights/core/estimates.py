@@ -75,7 +75,7 @@ class LightEstimate:
     def of_filter(cls, **fields: Any) -> Self:
         """An estimate of all fields; `position` and `covariance` are arrays that the filter's own numbers made."""
         estimate = object.__new__(cls)
-        estimate.__dict__.update(fields)
+        object.__setattr__(estimate, "__dict__", fields)
         return estimate
 
     def at(self, position: FloatArray, covariance: FloatArray, *, vehicle: FloatArray) -> "LightEstimate":

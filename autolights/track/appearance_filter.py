@@ -118,7 +118,7 @@ class AppearanceFilter:
         """
         posterior = beliefs * likelihood[:, :, None]
         mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
-        if not mass.all():
+        if np.count_nonzero(mass) < len(mass):
             lost = mass == 0
             posterior[lost] = self.first * likelihood[lost][:, :, None]
             mass = posterior.sum(axis=(1, 2))
@@ -202,22 +202,25 @@ class LookReader:
             several cameras at one instant, the product of the former and the maximum of the latter: they share their
             errors, but who is sure is seldom wrong.
         """
-        m = len(types)
+        m, class_count = class_probs.shape
         calibrated = class_probs
-        if (self.temperature != 1).any():
+        if np.count_nonzero(self.temperature != 1):
             calibrated = class_probs ** (1 / self.temperature[types])[:, None]
-        padded = np.zeros((m, class_probs.shape[1] + 1))
+        padded = np.zeros((m, class_count + 1))
         padded[:, :-1] = calibrated
-        own = np.take_along_axis(padded, self.columns[types], axis=1)
-        best = own.max(axis=1, keepdims=True)
-        whole = calibrated.sum(axis=1, keepdims=True)
+        own = padded.take(self.columns.take(types, axis=0) + (class_count + 1) * np.arange(m)[:, None])
+        best = np.maximum.reduce(own, axis=1, keepdims=True)
+        whole = np.add.reduce(calibrated, axis=1, keepdims=True)
         silent = best == 0
-        if silent.any():
+        speechless = np.count_nonzero(silent)
+        if speechless:
             own, best, whole = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, whole)
-        margin = (best / whole - self.threshold[types, None]) / _DOUBT_WIDTH
-        sure = np.where(own == best, 1 / (1 + np.exp(-np.clip(margin, -30, 30))), 0.0)
-        sure = np.where(silent, 0.5, sure)
-        return np.asarray((own / best) ** sharpness * self.scale[types]), sure
+        margin = (best / whole - self.threshold.take(types)[:, None]) / _DOUBT_WIDTH
+        certainty = 1 / (1 + np.exp(-np.minimum(np.maximum(margin, -30), 30)))
+        sure = np.where(own == best, certainty, 0.0)
+        if speechless:
+            sure = np.where(silent, 0.5, sure)
+        return np.asarray((own / best) ** sharpness * self.scale.take(types, axis=0)), sure
 
 
 def seen_likelihood(said: FloatArray, sure: FloatArray) -> FloatArray:

@@ -48,23 +48,23 @@ class Reporter:
         """
         in_view = np.zeros(len(table), dtype=bool)
         in_view[list(views)] = True
-        rows = np.flatnonzero(table.known & (in_view | (table.age_s(set_ns) <= self._config.max_coast_s)))
+        rows = (table.known & (in_view | (table.age_s(set_ns) <= self._config.max_coast_s))).nonzero()[0]
         withheld = table.stale(set_ns, self._config) | reports.doubtful
         positions, covariances = self._places(table, rows, places)
         offsets = positions - vehicle
         columns = zip(
             rows.tolist(),
-            table.ids[rows].tolist(),
-            table.map_rows[rows].tolist(),
-            table.types[rows].tolist(),
-            reports.class_ids[rows].tolist(),
-            reports.probability[rows].tolist(),
-            reports.flashing[rows].tolist(),
-            withheld[rows].tolist(),
+            table.ids.take(rows).tolist(),
+            table.map_rows.take(rows).tolist(),
+            table.types.take(rows).tolist(),
+            reports.class_ids.take(rows).tolist(),
+            reports.probability.take(rows).tolist(),
+            reports.flashing.take(rows).tolist(),
+            withheld.take(rows).tolist(),
             positions,
             covariances,
             np.sqrt((offsets * offsets).sum(axis=1)).tolist(),
-            table.last_seen_ns[rows].tolist(),
+            table.last_seen_ns.take(rows).tolist(),
             strict=True,
         )
         return [
@@ -103,18 +103,20 @@ class Reporter:
         self, table: TrackTable, rows: IntArray, places: PlaceBook | None
     ) -> tuple[FloatArray, list[FloatArray | None]]:
         """(k, 3) metres of these tracks, and (3, 3) m² of each; None where nothing is known of a surveyed place."""
-        positions, map_rows = table.positions[rows], table.map_rows[rows]
+        positions, map_rows = table.positions.take(rows, axis=0), table.map_rows.take(rows)
         covariances: list[FloatArray | None] = [None] * len(rows)
         unknown = np.arange(len(rows))
         if places is not None:
-            found = places.rows_of(map_rows, table.ids[rows])
-            unknown, known = np.flatnonzero(found < 0), np.flatnonzero(found >= 0)
-            positions[known] = places.places.positions[found[known]]
-            for i, covariance in zip(known.tolist(), places.places.covariances[found[known]], strict=True):
+            found = places.rows_of(map_rows, table.ids.take(rows))
+            known, unknown = (found >= 0).nonzero()[0], (found < 0).nonzero()[0]
+            found = found.take(known)
+            positions[known] = places.places.positions.take(found, axis=0)
+            for i, covariance in zip(known.tolist(), places.places.covariances.take(found, axis=0), strict=True):
                 covariances[i] = covariance
-        unmapped = unknown[map_rows[unknown] < 0]
-        for i, covariance in zip(unmapped.tolist(), np.linalg.inv(table.information[rows[unmapped]]), strict=True):
-            covariances[i] = covariance
+        unmapped = unknown[map_rows.take(unknown) < 0]
+        if len(unmapped):
+            for i, covariance in zip(unmapped.tolist(), np.linalg.inv(table.information[rows[unmapped]]), strict=True):
+                covariances[i] = covariance
         return positions, covariances
 
     def explain(self, table: TrackTable, reports: Reports | None, set_ns: int) -> list[dict[str, Any]]:

@@ -200,17 +200,18 @@ class TimedStates:
             looked[rows] = True
         likelihood = np.where(looked[:, None], seen_likelihood(said, sure), 1.0)
         for look in looks:
-            likelihood[look.missed[~looked[look.missed]]] = self._missed
+            if len(look.missed):
+                likelihood[look.missed[~looked[look.missed]]] = self._missed
         for block, model in zip(self._blocks, self._models, strict=True):
             if len(block.rows):
-                own_likelihood = likelihood[block.rows[:, None], model.appearances]
+                own_likelihood = likelihood.take(block.rows, axis=0).take(model.appearances, axis=1)
                 block.own = model.filter.update(block.own, own_likelihood)
                 if block.shared is not None:
                     block.shared = model.filter.update_together(block.shared, own_likelihood, block.members)
 
     def end_set(self, alive: BoolArray) -> None:
         """Say which tracks are alive; only these share evidence."""
-        if not self._config.share_groups or not (self._groups >= 0).any():
+        if not self._config.share_groups or not np.count_nonzero(self._groups >= 0):
             return
         now_ms = self._now_ms or 0
         for block, model in zip(self._blocks, self._models, strict=True):
