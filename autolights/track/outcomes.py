@@ -92,7 +92,7 @@ def choose(mass: FloatArray, contradiction: FloatArray, *, max_go_risk: float, m
     """
     risky = (contradiction @ mass[:, :, None])[:, :, 0] > max_go_risk
     every = np.arange(len(mass))
-    likely, safe = np.argmax(mass, axis=1), np.argmax(np.where(risky, -1.0, mass), axis=1)
+    likely, safe = mass.argmax(axis=1), np.where(risky, -1.0, mass).argmax(axis=1)
     doubtful = (mass[every, safe] < min_probability) | risky[every, safe]
     chosen = np.where(doubtful, likely, safe)
     return Choice(chosen, mass[every, chosen], go_held=chosen != likely, doubtful=doubtful)

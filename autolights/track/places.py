@@ -357,7 +357,7 @@ class LightPlaces:
     def _due(self, rows: IntArray, shots: Shots, images: IntArray, numbers: list[int]) -> BoolArray:
         """(m,) whether something new is told: of each camera now and then all, else what it has not told of before."""
         due = self._last_ns.take(rows * len(self._cameras) + np.array(numbers).take(images)) == _NEVER_NS
-        for image in np.unique(images).tolist():
+        for image in np.bincount(images).nonzero()[0].tolist():
             number, stamp_ns = numbers[image], shots.poses[image].stamp_ns
             if abs(stamp_ns - self._camera_ns[number]) >= self._config.every_s * 1e9:
                 due |= images == image
