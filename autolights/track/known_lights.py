@@ -26,7 +26,7 @@ class KnownLights:
         origin: (3,) metres, map frame, near all of them.
         positions: (3, n) metres from the origin.
         housings: (3, 8, n) corners, metres from each light's own place.
-        corners: (3, 8, n) metres from the origin.
+        corners: (3, 8, n) metres from the origin: where the housings are looked for.
         faces: (2, n) the way they look, east and north.
     """
 
@@ -80,6 +80,10 @@ class KnownLights:
         places[:, first:] = (positions - self.origin).T
         corners[:, :, first:] = self.housings[:, :, first:] + places[:, None, first:]
         return replace(self, positions=places, corners=corners)
+
+    def looked_for_at(self, offsets_m: FloatArray) -> "KnownLights":
+        """The same lights, whose housings are (3, n) metres beside their places."""
+        return replace(self, corners=self.corners + offsets_m[:, None])
 
     def and_also(self, more: "KnownLights") -> "KnownLights":
         """These lights, then others with the same origin."""

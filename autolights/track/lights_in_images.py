@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autolights.core import FloatArray, IntArray
+from autolights.core import IntArray
 from autolights.core.light_box import RANGE_MARGIN
 from autolights.core.shots import Shots
 from autolights.track.known_lights import KnownLights
@@ -24,13 +24,12 @@ class LightsInImages(ProjectedLights):
     type_codes: IntArray
 
 
-def project_known(known: KnownLights, shots: Shots, offsets_m: FloatArray | None = None) -> LightsInImages:
+def project_known(known: KnownLights, shots: Shots) -> LightsInImages:
     """Project the lights that each camera can have in view (`core.light_box.project_visible`).
 
     Args:
         known: Lights around the vehicle.
         shots: The images.
-        offsets_m: (3, n) from where the lights are known to stand to where the images showed them; None for none.
 
     Returns:
         Rows by image, within it as `known` has them.
@@ -43,10 +42,7 @@ def project_known(known: KnownLights, shots: Shots, offsets_m: FloatArray | None
     possible &= towards[0] + towards[1] < 0
     columns = np.logical_or.reduce(possible, axis=0).nonzero()[0]
 
-    corners = known.corners.take(columns, axis=2)
-    if offsets_m is not None:
-        corners += offsets_m[:, None, columns]
-    lows, highs = shots.project_outlines(corners, known.origin)
+    lows, highs = shots.project_outlines(known.corners.take(columns, axis=2), known.origin)
     size_wh = optics.size_wh[:, :, None]
     # NaN compares false: a corner that does not project drops the light.
     overlaps = (highs > 0) & (lows < size_wh)

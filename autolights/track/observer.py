@@ -57,6 +57,7 @@ class Observer:
         type_names = tuple(signals.types)
         range_m = max((camera.max_range_m for camera in cameras.values()), default=1.0)
         self._surroundings = Surroundings(lights, type_names, range_m)
+        self._placed: tuple[KnownLights, FloatArray, KnownLights] | None = None
         self._class_types = np.array([type_names.index(signals.type_of[name]) for name in signals.classes])
         self._class_sizes_m = signals.sizes_m(signals.type_of[name] for name in signals.classes)
 
@@ -64,8 +65,7 @@ class Observer:
         self, camera: CameraModel, pose: Pose, unmapped: TrafficLightMap, places: PlaceBook | None = None
     ) -> LightsInImages:
         """The known lights in one image, as calibration, pose and the places that images have refined have them."""
-        known = self._surroundings.around(pose.position, unmapped)
-        return project_known(known, Shots.of([camera], [pose]), _offsets_m(known, places))
+        return project_known(self._around(pose.position, unmapped, places), Shots.of([camera], [pose]))
 
     def observe(
         self, views: Sequence[View], unmapped: TrafficLightMap, places: PlaceBook | None = None
@@ -81,8 +81,7 @@ class Observer:
         ordered = sorted(views, key=lambda view: (view[1].stamp_ns, view[0].name))
         shots = Shots.of([camera for camera, _, _ in ordered], [pose for _, pose, _ in ordered])
         detections, seen_in = self._taking_part([found for _, _, found in ordered])
-        around = self._surroundings.around(ordered[-1][1].position, unmapped)
-        lights = project_known(around, shots, _offsets_m(around, places))
+        lights = project_known(self._around(ordered[-1][1].position, unmapped, places), shots)
         known, seen = cxcywh_columns(lights.boxes_xyxy), cxcywh_columns(detections.boxes_xyxy)
         on_map = lights.indices < self._map_length
         pairs = self._may_be_same(lights, detections, seen_in)
@@ -148,6 +147,17 @@ class Observer:
         if self._alignment is not None:
             self._alignment.restore(values)
 
+    def _around(self, position: FloatArray, unmapped: TrafficLightMap, places: PlaceBook | None) -> KnownLights:
+        """The known lights around the vehicle where they are to be looked for, made anew when places have changed."""
+        known = self._surroundings.around(position, unmapped)
+        if places is None:
+            return known
+        before, told, placed = self._placed or (None, None, known)
+        if before is not known or told is not places.places.positions:
+            placed = known.looked_for_at(places.offsets_m(known.rows).T)
+            self._placed = known, places.places.positions, placed
+        return placed
+
     def _new_alignment(self) -> RigAlignment | None:
         return RigAlignment(self._cameras, self._alignment_config) if self._alignment_config else None
 
@@ -210,7 +220,3 @@ def _off_map(on_map: BoolArray, association: Association, count: int) -> IntArra
     lights, detections = association.matches.T
     off_map[detections[on_map.take(lights)]] = False
     return off_map.nonzero()[0]
-
-
-def _offsets_m(known: KnownLights, places: PlaceBook | None) -> FloatArray | None:
-    return None if places is None else places.offsets_m(known.rows).T
