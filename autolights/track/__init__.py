@@ -17,7 +17,8 @@ from autolights.track.memoryless import MemorylessLights
 from autolights.track.observation import CameraObservation, SetObservation, explain_observation
 from autolights.track.observer import MatchConfig, Observer
 from autolights.track.place_book import PlaceBook
-from autolights.track.places import LightPlaces, PlaceConfig
+from autolights.track.place_config import PlaceConfig
+from autolights.track.places import LightPlaces
 from autolights.track.projection import ProjectedLights, join_projected, project_lights
 from autolights.track.regions import RegionConfig, region_of_interest
 from autolights.track.relevance import Relevance, RelevanceConfig

@@ -7,7 +7,8 @@ import numpy as np
 
 from autolights.core import FloatArray, IntArray, TrafficLightMap
 from autolights.track.observation import SetObservation
-from autolights.track.places import LightPlaces, PlaceConfig
+from autolights.track.place_config import PlaceConfig
+from autolights.track.places import LightPlaces
 
 _MAX_LIGHTS = 1000  # beyond it those that were not seen for longest are forgotten
 

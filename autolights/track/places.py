@@ -19,21 +19,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from autolights.core import BoolArray, CameraModel, Config, FloatArray, IntArray, Pose
+from autolights.core import BoolArray, CameraModel, FloatArray, IntArray, Pose
 from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners
 from autolights.core.shots import Shots
+from autolights.track.box_measurement import LIGHT, POSE, box_variances, expected_boxes, measured_boxes
+from autolights.track.place_config import PlaceConfig
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
 _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hidden heads
 _VAGUE_M = 100.0  # an unmapped light can be anywhere
 _NEVER_NS = -(2**62)
 _SETTLED_S = 10.0  # a light that is not seen for so long has told all it has to tell of the shared errors
-# Unknowns: of a light three metres and the logarithm of its size; shared are the pose's three metres, then the angles.
-_LIGHT, _POSE = 4, 3
-_NEAREST_M = 0.1
 _COLUMNS = (
     "positions",
     "covariances",
@@ -46,43 +44,6 @@ _COLUMNS = (
     "_last_places",
     "_active",
 )
-
-
-class PlaceConfig(Config):
-    """What is known of all errors before anything is seen: standard deviations, per axis.
-
-    Attributes:
-        map_m: Of a light's place in the map.
-        size_share: Of a housing's height against its type's, and of how tightly the detector draws boxes.
-        box_px: Of a box's edges.
-        box_share: The same in heights of the box; both add up as variances.
-        rotation_deg: Of each camera's mounting.
-        position_m: Of what is constant in the error of the poses.
-        wander_deg: Of the vehicle's attitude, from place to place.
-        wander_m: Of its position, from place to place.
-        decorrelation_m: Errors of boxes and poses hang together over so many metres of way,
-        decorrelation_s: or so many seconds where the vehicle stands.
-        drift_deg: How far a mounting wanders in a minute.
-        drift_m: How far the constant error of the poses wanders in a minute.
-        every_s: Images of a camera that follow sooner say nothing new of a light's place.
-        projected_sigmas: Lights of the map are looked for where the images showed them, but no farther from their place
-            in the map than so many times `map_m`; 0 looks for them where the map has them.
-    """
-
-    map_m: float = Field(default=0.25, gt=0)
-    size_share: float = Field(default=0.04, gt=0)
-    box_px: float = Field(default=1.0, gt=0)
-    box_share: float = Field(default=0.03, ge=0)
-    rotation_deg: float = Field(default=0.3, gt=0)
-    position_m: float = Field(default=0.05, gt=0)
-    wander_deg: float = Field(default=0.1, ge=0)
-    wander_m: float = Field(default=0.06, ge=0)
-    decorrelation_m: float = Field(default=2.0, gt=0)
-    decorrelation_s: float = Field(default=5.0, gt=0)
-    drift_deg: float = Field(default=0.02, ge=0)
-    drift_m: float = Field(default=0.05, ge=0)
-    every_s: float = Field(default=0.25, ge=0)
-    projected_sigmas: float = Field(default=1.5, ge=0)
 
 
 class LightPlaces:
@@ -100,7 +61,7 @@ class LightPlaces:
     def __init__(self, cameras: Sequence[str], config: PlaceConfig) -> None:
         self._config = config
         self._cameras = {name: number for number, name in enumerate(cameras)}
-        c, size = len(self._cameras), _LIGHT + _POSE + 3 * len(self._cameras)
+        c, size = len(self._cameras), LIGHT + POSE + 3 * len(self._cameras)
         self.positions: FloatArray = np.empty((0, 3))
         self.covariances: FloatArray = np.empty((0, 3, 3))
         self._origins: FloatArray = np.empty((0, 3))
@@ -108,14 +69,14 @@ class LightPlaces:
         # What each light's boxes tell of itself and of the shared errors: its own part of the arrow.
         self._information: FloatArray = np.empty((0, size, size))
         self._vectors: FloatArray = np.empty((0, size))
-        self._found: FloatArray = np.empty((0, _LIGHT))
+        self._found: FloatArray = np.empty((0, LIGHT))
         self._last_ns: IntArray = np.empty((0, c), dtype=np.int64)
         self._last_places: FloatArray = np.empty((0, c, 3))
         self._active: BoolArray = np.empty(0, dtype=bool)
         self._camera_ns = [_NEVER_NS] * c
         self._unsettled = False
-        sigmas = np.full(size - _LIGHT, np.radians(config.rotation_deg))
-        sigmas[:_POSE] = config.position_m
+        sigmas = np.full(size - LIGHT, np.radians(config.rotation_deg))
+        sigmas[:POSE] = config.position_m
         self._start_variances: FloatArray = sigmas**2
         self._shared_information: FloatArray = np.diag(1 / self._start_variances)
         self._shared_vector: FloatArray = np.zeros(len(sigmas))
@@ -153,9 +114,9 @@ class LightPlaces:
             "covariances": np.tile(variance * np.eye(3), (m, 1, 1)),
             "_origins": positions,
             "_housings": light_corners(np.zeros((m, 3)), headings_deg, sizes_m),
-            "_information": np.pad(np.tile(information, (m, 1, 1)), [(0, 0), (0, size - _LIGHT), (0, size - _LIGHT)]),
+            "_information": np.pad(np.tile(information, (m, 1, 1)), [(0, 0), (0, size - LIGHT), (0, size - LIGHT)]),
             "_vectors": np.zeros((m, size)),
-            "_found": np.zeros((m, _LIGHT)),
+            "_found": np.zeros((m, LIGHT)),
             "_last_ns": np.full((m, len(self._cameras)), _NEVER_NS),
             "_last_places": np.zeros((m, len(self._cameras), 3)),
             "_active": np.zeros(m, dtype=bool),
@@ -201,9 +162,9 @@ class LightPlaces:
         due &= (boxes_xyxy[:, 2:] <= shots.optics.size_wh.T.take(images, axis=0) - _EDGE_PX).all(axis=1)
         rows, boxes, images = rows[due], cxcywh_columns(boxes_xyxy[due]), images[due]
         expected, jacobian, depths_m = self._expected(rows, shots, images, numbers)
-        variances = self._variances(boxes[3], depths_m, shots, images)
-        difference = _measured(boxes, shots, images) - expected
-        of_place, of_shared = jacobian[..., :3], jacobian[..., _LIGHT:]
+        variances = box_variances(boxes[3], depths_m, shots, images, self._config)
+        difference = measured_boxes(boxes, shots, images) - expected
+        of_place, of_shared = jacobian[..., :3], jacobian[..., LIGHT:]
         doubt = ((of_place @ self.covariances.take(rows, axis=0)) * of_place).sum(axis=-1)
         doubt += ((of_shared @ self._shared_covariance) * of_shared).sum(axis=-1)
         surprise = np.sqrt((difference**2 / (variances + doubt)).sum(axis=1))
@@ -212,7 +173,7 @@ class LightPlaces:
 
         # Linear in the unknowns themselves, not in their changes: z − h(x̂) + J x̂ = J x + noise.
         found = self._found.take(rows, axis=0)
-        told = difference + (jacobian[..., :_LIGHT] @ found[..., None])[..., 0] + of_shared @ self._shared
+        told = difference + (jacobian[..., :LIGHT] @ found[..., None])[..., 0] + of_shared @ self._shared
         scaled = (jacobian * (weights[:, None] / variances)[..., None]).swapaxes(1, 2)
         information, vectors = scaled @ jacobian, (scaled @ told[..., None])[..., 0]
         bounds = np.searchsorted(images, range(len(shots) + 1)).tolist()
@@ -242,14 +203,14 @@ class LightPlaces:
         prior = self._prior(on_map=False)
         shift = self._origins[other] - self._origins[row]
         information = self._information[other].copy()
-        information[:_LIGHT, :_LIGHT] -= prior
+        information[:LIGHT, :LIGHT] -= prior
         self._information[row] += information
         self._vectors[row] += self._vectors[other] + information[:, :3] @ shift
         later = self._last_ns[other] > self._last_ns[row]
         self._last_places[row, later] = self._last_places[other, later]
         self._last_ns[row] = np.maximum(self._last_ns[row], self._last_ns[other])
         self._information[other], self._vectors[other] = 0.0, 0.0
-        self._information[other, :_LIGHT, :_LIGHT] = prior
+        self._information[other, :LIGHT, :LIGHT] = prior
         self._active[row], self._active[other] = True, False
         self._unsettled = True
 
@@ -308,7 +269,7 @@ class LightPlaces:
         inverse, ahead, information, vectors = self._eliminated(rows)
         self._shared_covariance = np.linalg.inv(self._shared_information + information.sum(axis=0))
         self._shared = self._shared_covariance @ (self._shared_vector + vectors.sum(axis=0))
-        self._found[rows] = (inverse @ self._vectors[rows, :_LIGHT, None])[..., 0] - ahead @ self._shared
+        self._found[rows] = (inverse @ self._vectors[rows, :LIGHT, None])[..., 0] - ahead @ self._shared
         # What was given out before stays as it was.
         self.positions, self.covariances = self.positions.copy(), self.covariances.copy()
         self.positions[rows] = self._origins[rows] + self._found[rows, :3]
@@ -317,15 +278,15 @@ class LightPlaces:
     def _eliminated(self, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Λ_ii⁻¹ and Λ_ii⁻¹ Λ_iw of each light, and what it tells of the shared errors alone (Schur complement)."""
         information, vectors = self._information[rows], self._vectors[rows]
-        inverse = np.linalg.inv(information[:, :_LIGHT, :_LIGHT])
-        cross = information[:, :_LIGHT, _LIGHT:]
+        inverse = np.linalg.inv(information[:, :LIGHT, :LIGHT])
+        cross = information[:, :LIGHT, LIGHT:]
         ahead = inverse @ cross
         back = ahead.swapaxes(1, 2)
         return (
             inverse,
             ahead,
-            information[:, _LIGHT:, _LIGHT:] - back @ cross,
-            vectors[:, _LIGHT:] - (back @ vectors[:, :_LIGHT, None])[..., 0],
+            information[:, LIGHT:, LIGHT:] - back @ cross,
+            vectors[:, LIGHT:] - (back @ vectors[:, :LIGHT, None])[..., 0],
         )
 
     def _close(self, rows: IntArray) -> None:
@@ -337,8 +298,8 @@ class LightPlaces:
         self._shared_vector = self._shared_vector + vectors.sum(axis=0)
         alone = np.linalg.inv(inverse + ahead @ self._shared_covariance @ ahead.swapaxes(1, 2))
         self._information[rows], self._vectors[rows] = 0.0, 0.0
-        self._information[rows, :_LIGHT, :_LIGHT] = alone
-        self._vectors[rows, :_LIGHT] = (alone @ self._found[rows][..., None])[..., 0]
+        self._information[rows, :LIGHT, :LIGHT] = alone
+        self._vectors[rows, :LIGHT] = (alone @ self._found[rows][..., None])[..., 0]
         self._active[rows] = False
 
     def _let_drift(self, stamp_ns: int) -> None:
@@ -346,7 +307,7 @@ class LightPlaces:
         elapsed_s = 0.0 if self._shared_ns is None else max(stamp_ns - self._shared_ns, 0) / 1e9
         self._shared_ns = stamp_ns
         drift = np.full(len(self._shared), np.radians(self._config.drift_deg))
-        drift[:_POSE] = self._config.drift_m
+        drift[:POSE] = self._config.drift_m
         covariance = np.linalg.inv(self._shared_information)
         mean = covariance @ self._shared_vector
         covariance = covariance + np.diag(drift**2 * elapsed_s / 60)
@@ -367,7 +328,7 @@ class LightPlaces:
     def _expected(
         self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What `_measured` should give, how it depends on the unknowns, and how far away the lights are.
+        """What `measured_boxes` should give, how it depends on the unknowns, and how far away the lights are.
 
         Args:
             rows: (m,) lights.
@@ -376,53 +337,26 @@ class LightPlaces:
             numbers: (s,) of the images' cameras.
 
         Returns:
-            (m, 3) of `_measured`; (m, 3, u) per unit of the unknowns; (m,) metres along the camera's axis.
+            (m, 3) of `measured_boxes`; (m, 3, u) per unit of the unknowns; (m,) metres along the camera's axis.
         """
-        m, every = len(rows), np.arange(len(rows))
-        firsts = _LIGHT + _POSE + 3 * numbers  # column of each camera's first angle
-        turns = self._shared[firsts[:, None] - _LIGHT + np.arange(3)]
+        firsts = LIGHT + POSE + 3 * numbers  # column of each camera's first angle
+        turns = self._shared[firsts[:, None] - LIGHT + np.arange(3)]
         # The world is seen turned by small angles w: q + w × q.
         turned = np.broadcast_to(np.eye(3), (len(turns), 3, 3)).copy()
         turned[:, [2, 0, 1], [1, 2, 0]] += turns
         turned[:, [1, 2, 0], [2, 0, 1]] -= turns
-        rotation = (turned @ shots.cam_from_utm).take(images, axis=0)
-        rays = self.positions.take(rows, axis=0) - (shots.lens + self._shared[:_POSE]).take(images, axis=0)
-        depths_m = np.maximum((rays * rotation[:, 2]).sum(axis=1), _NEAREST_M)
-        swollen = self._housings.take(rows, axis=0) * np.exp(self._found.take(rows * _LIGHT + 3))[:, None, None]
-        corners = ((rays[:, None] + swollen) @ rotation.swapaxes(1, 2)).transpose(2, 1, 0).copy()  # (3, 8, m)
-        outline = corners[:2] / np.maximum(corners[2], _NEAREST_M)
-        lows, highs = np.minimum.reduce(outline, axis=1), np.maximum.reduce(outline, axis=1)
-        (x, y), height = (lows + highs) / 2, highs[1] - lows[1]
-        expected = np.array([x, y, height]).T
-
-        jacobian = np.zeros((m, 3, self._vectors.shape[1]))
-        scaled = rotation / depths_m[:, None, None]
-        jacobian[:, :2, :3] = scaled[:, :2]
-        jacobian[..., :3] -= expected[..., None] * scaled[:, 2:]
-        jacobian[:, 2, 3] = height
-        jacobian[..., _LIGHT : _LIGHT + _POSE] = -jacobian[..., :3]
-        # About the axes to the right, down and ahead.
-        by_angles = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [-height * y, height * x, 0 * x]])
-        columns = firsts.take(images)[:, None] + np.arange(3)
-        jacobian[every[:, None, None], np.arange(3)[:, None], columns[:, None]] = by_angles.transpose(2, 0, 1)
-        return expected, jacobian, depths_m
+        return expected_boxes(
+            self.positions.take(rows, axis=0) - (shots.lens + self._shared[:POSE]).take(images, axis=0),
+            self._housings.take(rows, axis=0) * np.exp(self._found.take(rows * LIGHT + 3))[:, None, None],
+            (turned @ shots.cam_from_utm).take(images, axis=0),
+            firsts.take(images),
+            self._vectors.shape[1],
+        )
 
     def _columns(self, camera: str) -> IntArray:
         """(6,) of the shared errors: the pose's, then the camera's."""
-        start = _POSE + 3 * self._cameras[camera]
+        start = POSE + 3 * self._cameras[camera]
         return np.array([0, 1, 2, start, start + 1, start + 2])
-
-    def _variances(self, heights_px: FloatArray, depths_m: FloatArray, shots: Shots, images: IntArray) -> FloatArray:
-        """(m, 3) of directions and angular heights: edges of boxes, and the vehicle's wandering."""
-        config = self._config
-        focal_px = shots.optics.focal_px.take(images, axis=1)
-        edges = config.box_px**2 + (config.box_share * heights_px) ** 2
-        of_edges = edges / (focal_px * focal_px)
-        wander = np.radians(config.wander_deg) ** 2 + (config.wander_m / depths_m) ** 2
-        variances = np.empty((len(edges), 3))
-        variances[:, :2] = (of_edges / 2 + wander).T
-        variances[:, 2] = 2 * of_edges[1]
-        return variances
 
     def _news(self, rows: IntArray, numbers: IntArray, shots: Shots, images: IntArray) -> FloatArray:
         """(m,) how much of an independent observation each is, (1 − ρ) / (1 + ρ) for a correlation ρ with the last."""
@@ -434,26 +368,3 @@ class LightPlaces:
         return np.asarray(
             np.tanh((way_m / self._config.decorrelation_m + elapsed_s / self._config.decorrelation_s) / 2)
         )
-
-
-def _measured(boxes: FloatArray, shots: Shots, images: IntArray) -> FloatArray:
-    """(m, 3) x and y of each box's centre on the plane z = 1, and its height there; distortion is taken off.
-
-    Args:
-        boxes: (4, m) centres, widths and heights, pixels.
-        shots: The images.
-        images: (m,) which image each box lies in, ascending.
-    """
-    centres, halves = boxes[:2] - 0.5, boxes[2:] / 2  # points count from the centre of the top-left pixel
-    points_px = centres[:, :, None] + halves[:, :, None] * _EDGE_MIDDLES[:, None]
-    left, right, top, bottom = np.moveaxis(
-        shots.back_project(points_px.reshape(2, -1), images.repeat(4)).reshape(2, -1, 4), 2, 0
-    )
-    measured = np.empty((boxes.shape[1], 3))
-    measured[:, 0] = (left[0] + right[0]) / 2
-    measured[:, 1] = (top[1] + bottom[1]) / 2
-    measured[:, 2] = bottom[1] - top[1]
-    return measured
-
-
-_EDGE_MIDDLES = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])  # of a box's left, right, top and bottom

@@ -8,7 +8,9 @@ from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners, project_corners
 from autolights.core.shots import Shots
 from autolights.core.transforms import CAMERA_AXES_FROM_VEHICLE_AXES, invert_rigid, rigid
-from autolights.track.places import LightPlaces, PlaceConfig, _measured
+from autolights.track.box_measurement import box_variances, measured_boxes
+from autolights.track.place_config import PlaceConfig
+from autolights.track.places import LightPlaces
 
 ORIGIN = np.array([500_000.0, 4_800_000.0, 200.0])
 SIZE = np.array([0.36, 1.07, 0.3])
@@ -101,7 +103,7 @@ def test_jacobians_are_the_numeric_ones() -> None:
     one, zeros, second = Shots.of([camera], [pose]), np.zeros(len(rows), dtype=int), np.array([1])
     expected, jacobian, depths_m = places._expected(rows, one, zeros, second)
     boxes = cxcywh_columns(boxes_of(places.positions, camera, pose))
-    np.testing.assert_allclose(expected, _measured(boxes, one, zeros), atol=2e-5)
+    np.testing.assert_allclose(expected, measured_boxes(boxes, one, zeros), atol=2e-5)
     assert depths_m == pytest.approx([40.0 - 0.5, 41.0 - 0.5] * 2, abs=1e-6)
 
     def moved(column: int, by: float) -> np.ndarray:
@@ -180,13 +182,13 @@ def test_one_light_with_perfect_cameras_is_a_kalman_filter() -> None:
     boxes = boxes_of(row_of_lights(1) + np.array([0.3, 0.05, -0.04]), camera, pose) + rng.normal(0, 0.2, (1, 4))
     one, zeros, columns = Shots.of([camera], [pose]), np.zeros(1, dtype=int), cxcywh_columns(boxes)
     expected, jacobian, depths_m = places._expected(rows, one, zeros, zeros)
-    h, r = jacobian[0, :, :3], np.diag(places._variances(columns[3], depths_m, one, zeros)[0])
+    h, r = jacobian[0, :, :3], np.diag(box_variances(columns[3], depths_m, one, zeros, config)[0])
     prior = np.eye(3) * config.map_m**2
     gain = prior @ h.T @ np.linalg.inv(h @ prior @ h.T + r)
     places.observe(rows, boxes, camera, pose)
     places.settle(0)
     np.testing.assert_allclose(
-        places.positions[0] - row_of_lights(1)[0], gain @ (_measured(columns, one, zeros) - expected)[0], atol=1e-4
+        places.positions[0] - row_of_lights(1)[0], gain @ (measured_boxes(columns, one, zeros) - expected)[0], atol=1e-4
     )
     np.testing.assert_allclose(places.covariances[0], (np.eye(3) - gain @ h) @ prior, atol=1e-5)
 
