@@ -17,7 +17,7 @@ from autolights.data import Drive
 from autolights.map_audit.evidence import Sighting
 from autolights.map_audit.findings import Finding, Findings
 
-_CROP_HEIGHTS = 5.0  # of the light's box, to each side
+_CROP_HEIGHTS = 3.5  # of the light's box, to each side
 _PICTURE_PX = 200
 _PLAN_PX = 1040.0
 _COLORS = {
