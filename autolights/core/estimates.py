@@ -1,6 +1,5 @@
 """What the runtime says about one light at one instant."""
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
@@ -77,14 +76,6 @@ class LightEstimate:
         estimate = object.__new__(cls)
         object.__setattr__(estimate, "__dict__", fields)
         return estimate
-
-    def at(self, position: FloatArray, covariance: FloatArray, *, vehicle: FloatArray) -> "LightEstimate":
-        """The same light elsewhere: (3,) metres, (3, 3) m², seen from a vehicle at (3,) metres."""
-        # Built by hand: checking a position that comes from a filter would cost more than the filter.
-        distance_m = math.dist(position.tolist(), vehicle.tolist())
-        return self.of_filter(
-            **(vars(self) | {"position": position, "covariance": covariance, "distance_m": distance_m})
-        )
 
     def to_json(self) -> dict[str, Any]:
         """One entry of `lights` in a line of ``estimates.jsonl`` (DESIGN: Files); the line holds the stamp."""
