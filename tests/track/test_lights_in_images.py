@@ -74,3 +74,25 @@ def test_a_set_taken_apart_and_joined_again_is_the_same(make_scene: Callable) ->
             np.testing.assert_array_equal(getattr(again.association, name), getattr(together.association, name))
         np.testing.assert_array_equal(again.projected.boxes_xyxy, together.projected.boxes_xyxy)
         np.testing.assert_array_equal(again.detections.class_probs, together.detections.class_probs)
+
+
+def test_unmapped_lights_that_moved_are_as_if_made_anew(make_scene: Callable) -> None:
+    cameras = list(make_scene({}, cameras=("narrow", "wide")).rig.values())
+    lights, unmapped = lights_along(100, 0), lights_along(20, 1, typed=False)
+    type_names, pose = tuple(SIGNALS.types), Pose(0, ORIGIN, np.array([0.0, 0.0, 0.0, 1.0]))
+    shots = Shots.of(cameras, [pose, pose])
+    kept = Surroundings(lights, type_names, 64.0)
+    before = kept.around(pose.position, unmapped)
+    assert kept.around(pose.position, unmapped) is before
+
+    moved = unmapped.at(unmapped.positions + np.array([0.3, -0.2, 0.1]))
+    found = project_known(kept.around(pose.position, moved), shots)
+    fresh = project_known(Surroundings(lights, type_names, 64.0).around(pose.position, moved), shots)
+
+    assert len(found) > 10
+    np.testing.assert_array_equal(found.indices, fresh.indices)
+    np.testing.assert_array_equal(found.boxes_xyxy, fresh.boxes_xyxy)
+    assert moved.within(moved.positions[3], 0.01).tolist() == [3], "it is searched where it is now"
+    assert (project_known(before, shots).boxes_xyxy.shape != found.boxes_xyxy.shape) or not np.array_equal(
+        project_known(before, shots).boxes_xyxy, found.boxes_xyxy
+    )
