@@ -10,7 +10,8 @@ from autolights.core import BoolArray, FloatArray, IntArray, TrafficLightMap
 from autolights.core.light_box import RANGE_MARGIN, light_corners
 from autolights.track.projection import ANY_TYPE, NameArray
 
-_WINDOW_M = 20.0  # the part of the map that is held ready reaches so much farther than any camera
+_CELL_M = 10.0  # edge of the cells for which the map is searched: the part that is held ready reaches so much farther
+_WINDOWS = 4  # are kept, for a vehicle that stands where cells meet
 ANY_CODE = -1  # of a light whose type is still being voted on
 
 
@@ -112,22 +113,31 @@ class Surroundings:
     def __init__(self, lights: TrafficLightMap, type_names: Sequence[str], range_m: float) -> None:
         self._lights = lights
         self._type_names = tuple(type_names)
-        self._reach_m = RANGE_MARGIN * range_m + _WINDOW_M
-        self._window: KnownLights | None = None
+        self._reach_m = RANGE_MARGIN * range_m + _CELL_M
+        self._windows: dict[tuple[int, ...], KnownLights] = {}
+        self._cell: tuple[int, ...] | None = None
         self._unmapped: TrafficLightMap | None = None
         self._known: KnownLights | None = None
 
     def around(self, position: FloatArray, unmapped: TrafficLightMap) -> KnownLights:
         """The lights of the map within the cameras' reach of (3,) `position` and a little beyond, and all unmapped."""
-        window = self._window
-        if window is None or np.square(position - window.origin).sum() > (_WINDOW_M / 2) ** 2:
-            near = self._lights.within(position, self._reach_m)
-            window = KnownLights.of(self._lights, near, self._type_names, position, first_row=0, on_map=True)
-            self._window, self._known = window, None
+        # By cells, so that what is computed depends on the place alone, not on the way there.
+        cell = tuple(round(metres / _CELL_M) for metres in position.tolist())
+        if cell != self._cell:
+            self._cell, self._known = cell, None
+        window = self._windows.get(cell)
+        if window is None:
+            if len(self._windows) >= _WINDOWS:
+                del self._windows[next(iter(self._windows))]
+            window = self._windows[cell] = self._cut_out(np.array(cell) * _CELL_M)
         if self._known is None or self._unmapped is not unmapped:
             self._known = self._joined(window, unmapped)
             self._unmapped = unmapped
         return self._known
+
+    def _cut_out(self, centre: FloatArray) -> KnownLights:
+        near = self._lights.within(centre, self._reach_m)
+        return KnownLights.of(self._lights, near, self._type_names, centre, first_row=0, on_map=True)
 
     def _joined(self, window: KnownLights, unmapped: TrafficLightMap) -> KnownLights:
         if not len(unmapped):
