@@ -8,7 +8,7 @@ face looks against the way the vehicle heads.
 import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -39,6 +39,17 @@ class RelevanceConfig(Config):
     lane_half_width_m: float = Field(default=2.0, gt=0)
 
 
+class _Known(NamedTuple):
+    """What stays of a light while it stays where it is: its intersection, the way its face looks, and its lanes."""
+
+    intersection: str
+    face: tuple[float, float] | None  # east and north
+    lanes: tuple[str, ...]
+
+
+_LAST = (3, 0.0)  # comes after any intersection
+
+
 class Relevance:
     """Tells of lights what they mean to the vehicle; all that depends on the map alone is computed once.
 
@@ -51,16 +62,17 @@ class Relevance:
         self._config = config
         self._row_of_id = {light_id: row for row, light_id in enumerate(lights.ids)}
         self._names, numbers = intersections(lights, config.cluster_m)
-        # The last row, which −1 means, is that of lights that the map does not hold.
-        self._numbers = np.append(numbers, -1)
-        self._faces = np.concatenate([_directions(lights.headings_deg), np.zeros((1, 2))])
-        self._lanes_of = lights.lanes if any(lights.lanes) else None
-        self._lanes = _Lanes(lights, config.lane_half_width_m) if lights.lane_lines and self._lanes_of else None
+        self._numbers = numbers
+        self._faces = _directions(lights.headings_deg)
+        self._lanes_of = lights.lanes
+        linked = lights.lane_lines and any(lights.lanes)
+        self._lanes = _Lanes(lights, config.lane_half_width_m) if linked else None
         self._tree = cKDTree(lights.positions[:, :2]) if len(lights) else None
         self._least_facing = float(np.cos(np.radians(config.facing_deg)))
         self._unmapped: TrafficLightMap | None = None
         self._looked_up: tuple[tuple[str, ...], bytes] = ((), b"")
-        self._of_track: dict[str, tuple[str, float, float]] = {}
+        self._of_track: dict[str, _Known] = {}
+        self._of_light: dict[str, _Known] = {}  # of those that were seen
         self._on_lanes: frozenset[str] = frozenset()
 
     def tell(
@@ -98,45 +110,50 @@ class Relevance:
         x, y = pose.utm_from_ins[:2, 0].tolist()
         length = math.hypot(x, y) or 1.0
         x, y = x / length, y / length
-        rows = [-1 if light.map_id is None else self._row_of_id[light.map_id] for light in estimates]
-        turned = np.array([[x, y], [y, -x]])
-        offsets = np.array([light.position for light in estimates])[:, :2] - pose.position[:2]
-        against = (self._faces[rows] @ turned[0]).tolist()
-        numbers = self._numbers[rows].tolist()
-        names, keys = [], []
+        east, north, _ = pose.position.tolist()
+        max_aside_m, least_facing = self._config.max_aside_m, self._least_facing
+        told: list[tuple[str, int]] = []
         nearest: dict[str, tuple[int, float]] = {}
-        for light, row, (ahead_m, aside_m), facing, number in zip(
-            estimates, rows, (offsets @ turned.T).tolist(), against, numbers, strict=True
-        ):
-            known = True
-            if row >= 0:
-                name = self._names[number]
-            elif (track := self._of_track.get(str(light.track_id))) is not None:
-                name, facing = track[0], track[1] * x + track[2] * y
+        # Numbers of a light are too few for arrays to be worth their calls.
+        for light in estimates:
+            if light.map_id is not None:
+                known = self._of_light.get(light.map_id) or self._look_up_mapped(light.map_id)
             else:
-                name, known = f"near track {light.track_id}", False
-            linked = row >= 0 and on_lanes and self._lanes_of is not None and self._lanes_of[row]
-            if linked:
-                governs = ahead_m > 0 and not on_lanes.isdisjoint(linked)
+                known = self._of_track.get(str(light.track_id)) or _Known(f"near track {light.track_id}", None, ())
+            light_east, light_north, _ = light.position.tolist()
+            right, up = light_east - east, light_north - north
+            ahead_m = x * right + y * up
+            governs: bool | None
+            if known.lanes and on_lanes:
+                governs = ahead_m > 0 and not on_lanes.isdisjoint(known.lanes)
+            elif known.face is None:
+                governs = None
             else:
-                governs = ahead_m > 0 and abs(aside_m) <= self._config.max_aside_m and -facing >= self._least_facing
-            vars(light).update(ahead_m=ahead_m, intersection=name, governs=governs if known else None)
-            key = (0 if governs and known else 1 if ahead_m > 0 else 2, abs(ahead_m))
-            nearest[name] = min(key, nearest.get(name, key))
-            names.append(name)
-            keys.append(key[0])
-        order = sorted(range(len(keys)), key=lambda i: (nearest[names[i]], names[i], keys[i]))
+                against = -(known.face[0] * x + known.face[1] * y)
+                governs = ahead_m > 0 and against >= least_facing and abs(y * right - x * up) <= max_aside_m
+            name = known.intersection
+            vars(light).update(ahead_m=ahead_m, intersection=name, governs=governs)
+            rank = 0 if governs else 1 if ahead_m > 0 else 2
+            key = rank, abs(ahead_m)
+            if key < nearest.get(name, _LAST):
+                nearest[name] = key
+            told.append((name, rank))
+        order = sorted(range(len(told)), key=lambda i: (nearest[told[i][0]], told[i]))
         return [estimates[i] for i in order]
 
     def explain(self) -> dict[str, Any]:
         """What the latest estimates were judged by, as JSON-ready values: the lanes that the vehicle is on."""
         return {"lanes": sorted(self._on_lanes)}
 
-    def _look_up(self, unmapped: TrafficLightMap, places: FloatArray) -> dict[str, tuple[str, float, float]]:
-        """By track: intersection, and east and north of the way its face looks.
+    def _look_up_mapped(self, map_id: str) -> _Known:
+        row = self._row_of_id[map_id]
+        east, north = self._faces[row].tolist()
+        known = _Known(self._names[self._numbers[row]], (east, north), self._lanes_of[row])
+        self._of_light[map_id] = known
+        return known
 
-        The intersection is that of the nearest light of the map, or one of unmapped lights alone.
-        """
+    def _look_up(self, unmapped: TrafficLightMap, places: FloatArray) -> dict[str, _Known]:
+        """By track; the intersection is that of the nearest light of the map, or one of unmapped lights alone."""
         n, limit_m = len(unmapped), self._config.cluster_m
         names = [""] * n
         if self._tree is not None and n:
@@ -147,7 +164,7 @@ class Relevance:
         for number, group in enumerate(_clusters(places[alone], limit_m).tolist()):
             names[alone[number]] = f"near track {unmapped.ids[alone[group]]}"
         return {
-            track: (name, *face)
+            track: _Known(name, (face[0], face[1]), ())
             for track, name, face in zip(unmapped.ids, names, _directions(unmapped.headings_deg).tolist(), strict=True)
         }
 
