@@ -13,7 +13,7 @@ class Calibration:
 
     Attributes:
         temperature: A class vector is raised to the power of 1 / temperature and normalised; 1 leaves it as it is.
-        certainty: When the detector counts as sure, and how often it is, right or wrong.
+        certainty: How sure the detector is, and how often, right or wrong.
         matched: Detections of labelled lights behind the fit.
         wrong: Of these, how many had another class than the label.
         nll: Mean negative log probability of the true class, before and after.
@@ -29,7 +29,8 @@ class Calibration:
 
     def to_json(self) -> dict[str, Any]:
         """As JSON-ready values."""
-        return {**asdict(self), "nll": list(self.nll), "expected_error": list(self.expected_error)}
+        pairs = {"nll": list(self.nll), "expected_error": list(self.expected_error)}
+        return {**asdict(self), "certainty": self.certainty.to_json(), **pairs}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Self:
@@ -38,7 +39,7 @@ class Calibration:
             nll, expected_error = values["nll"], values["expected_error"]
             return cls(
                 temperature=float(values["temperature"]),
-                certainty=Certainty(**values["certainty"]),
+                certainty=Certainty.from_json(values["certainty"]),
                 matched=int(values["matched"]),
                 wrong=int(values["wrong"]),
                 nll=(float(nll[0]), float(nll[1])),

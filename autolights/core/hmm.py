@@ -15,25 +15,53 @@ _ARRAYS = ("initial", "rates", "transition", "observation", "evidence", "miss_pr
 
 @dataclass(frozen=True)
 class Certainty:
-    """What a detector's confidence is worth: when it counts as sure, and how often it is.
+    """What a detector's confidence is worth: levels of it, and how often each occurs where it is right and wrong.
 
     Attributes:
-        threshold: Share of the calibrated class vector that the best class must have.
-        sure_if_right: P(sure | it sees the true class).
-        sure_if_wrong: P(sure | it sees another class). Equal to the former, being sure says nothing.
+        thresholds: (L − 1) ascending: the share of the calibrated class vector that the best class must have for the
+            second, third, … level.
+        if_right: (L) P(level | it sees the true class), from the least sure to the surest.
+        if_wrong: (L) P(level | it sees another class). Equal to the former, being sure says nothing.
 
     Raises:
-        ValueError: If a number is not in [0, 1].
+        ValueError: If the levels do not fit together, or the probabilities are none.
     """
 
-    threshold: float = 0.5
-    sure_if_right: float = 0.5
-    sure_if_wrong: float = 0.5
+    thresholds: tuple[float, ...] = ()
+    if_right: tuple[float, ...] = (1.0,)
+    if_wrong: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 <= value <= 1:
-                raise ValueError(f"certainty.{name} must lie in [0, 1], got {value}")
+        if list(self.thresholds) != sorted(set(self.thresholds)) or not all(0 < t < 1 for t in self.thresholds):
+            raise ValueError(f"certainty.thresholds must ascend within (0, 1), got {list(self.thresholds)}")
+        for name in ("if_right", "if_wrong"):
+            probs = getattr(self, name)
+            if len(probs) != self.levels or not all(0 <= p <= 1 for p in probs) or abs(sum(probs) - 1) > 1e-3:
+                raise ValueError(
+                    f"certainty.{name} must hold {self.levels} probabilities that sum to 1, one more than thresholds, "
+                    f"got {list(probs)}"
+                )
+
+    @property
+    def levels(self) -> int:
+        """How many levels are told apart."""
+        return len(self.thresholds) + 1
+
+    def to_json(self) -> dict[str, list[float]]:
+        """As JSON-ready values."""
+        return {name: list(values) for name, values in vars(self).items()}
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Self:
+        """Read what `to_json` gave, or the two levels ("sure" or not) that older files hold.
+
+        Raises:
+            KeyError, TypeError, ValueError: If it is anything else.
+        """
+        if "threshold" in values:
+            right, wrong = float(values["sure_if_right"]), float(values["sure_if_wrong"])
+            return cls((float(values["threshold"]),), (1 - right, right), (1 - wrong, wrong))
+        return cls(**{name: tuple(float(v) for v in values[name]) for name in ("thresholds", "if_right", "if_wrong")})
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +128,7 @@ class HmmParameters:
         """The parameters as JSON-ready values."""
         arrays = {name: getattr(self, name).tolist() for name in _ARRAYS}
         rest = {"type": self.type, "states": list(self.states), "nominal_dt_s": self.nominal_dt_s}
-        confidence = {"temperature": self.temperature, "certainty": vars(self.certainty)}
+        confidence = {"temperature": self.temperature, "certainty": self.certainty.to_json()}
         return {**rest, **arrays, **confidence, "provenance": self.provenance}
 
     @classmethod
@@ -114,7 +142,7 @@ class HmmParameters:
                 nominal_dt_s=float(values["nominal_dt_s"]),
                 provenance=dict(values["provenance"]),
                 temperature=float(values["temperature"]),
-                certainty=Certainty(**values["certainty"]),
+                certainty=Certainty.from_json(values["certainty"]),
                 **arrays,
             )
         except KeyError as error:

@@ -2,19 +2,20 @@
 
 A detector that takes a washed-out red for yellow does so for some tenths of a second, frame after frame. Counting each
 frame as an opinion of its own would let such an error win. So a light has an *appearance* a: the class that the
-detector sees in it, and whether it is sure; or nothing at all, it is missed. An appearance stays as it is for
-`error_duration_s` on average and is then drawn anew from row q of B, and so it is when the state q changes; but what
-hides a light goes on to hide it:
+detector sees in it, and how sure it is (one of L levels); or nothing at all, it is missed. An appearance stays as it is
+for `error_duration_s` on average and is then drawn anew from row q of B. When the state q changes, so does the class
+that is seen, but what blurs or hides a light goes on to do so:
 
-    P(q', a' | q, a) = ρ S(q, q') [a' = a] + ρ (A − S)(q, q') B(q', a' | seen) + (1 − ρ) A(q, q') B(q', a')   a seen
-    P(q', a' | q, a) = ρ A(q, q') [a' = a] + (1 − ρ) A(q, q') B(q', a')                                      a missed
+    P(q', a' | q, a) = ρ S(q, q') [a' = a] + ρ (A − S)(q, q') B(q', a' | level of a) + (1 − ρ) A(q, q') B(q', a')   seen
+    P(q', a' | q, a) = ρ A(q, q') [a' = a] + (1 − ρ) A(q, q') B(q', a')                                           missed
 
 with ρ = exp(−Δt / error_duration_s), A(Δt) = expm(Q Δt) and S the share of it that stays in one phase (`HiddenChain`).
-A new look says as much as an independent one; its repetition says little. As ρ → 0, with one certainty and class
-vectors taken as they are, this is the paper's filter with C from B under a uniform prior.
+A new look says as much as an independent one; its repetition says little. A light that was seen clearly and is now
+another class, in doubt, has hardly changed: the view of it has. As ρ → 0, with one level and class vectors taken as
+they are, this is the paper's filter with C from B under a uniform prior.
 
-Beliefs are arrays (..., c, K): c = 2 k + 1 appearances (each class seen for sure, each class in doubt, missed) and K
-hidden states.
+Beliefs are arrays (..., c, K): c = L k + 1 appearances (each class seen with the least certainty, ..., with the most,
+missed) and K hidden states.
 
 References:
     Wu et al. 2023, Sec. III-D; for emissions that depend on the last one: Murphy 2012, ch. 17.6 (autoregressive HMMs).
@@ -27,12 +28,16 @@ from typing import Self
 import numpy as np
 
 from autolights.core import FloatArray, HmmParameters, IntArray
+from autolights.core.errors import UsageError
 from autolights.track.hidden_chain import HiddenChain
 
 _SLIP = 1e-3  # how often one look shows something else than the appearance, within the same instant
 _SHARPNESS = 4.0  # power of a class vector: an appearance is what the detector says most, and a tie is one
 _CACHED = 64  # frame times
-_DOUBT_WIDTH = 0.02  # how gradually "sure" becomes "in doubt", so that a look on the threshold is not two by turns
+_FLOOR = 1e-9  # of what other classes get together
+_LEVEL_WIDTH = 0.15  # of log odds, over which a level becomes the next: a look between them is not two looks by turns
+_ALONE = 0.02  # how often a camera errs by itself while another one does not
+_DISSENT = 0.5  # power of what the confidence of a camera that dissents is worth, as it counts in each set anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +47,16 @@ class AppearanceFilter:
     Attributes:
         chain: K hidden states.
         looks: (c, K) P(appearance | hidden state).
-        looks_if_seen: (c − 1, K) the same, given that it is not missed.
+        looks_if_level: (L, k, K) the same, given how surely it is seen.
         error_duration_s: How long an appearance lasts; 0 draws it anew for each look.
         first: (c, K) belief at first sight.
     """
 
     chain: HiddenChain
     looks: FloatArray
-    looks_if_seen: FloatArray
+    looks_if_level: FloatArray
     error_duration_s: float
     first: FloatArray
-    _found: FloatArray
     _ones: FloatArray
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
@@ -66,16 +70,18 @@ class AppearanceFilter:
             error_duration_s: Of an appearance.
         """
         seen = params.observation.T * (1 - params.miss_probs)  # (k seen, k states)
-        certainty = params.certainty
-        sure = np.where(np.eye(len(seen), dtype=bool), certainty.sure_if_right, certainty.sure_if_wrong)
-        by_class = np.concatenate([seen * sure, seen * (1 - sure), params.miss_probs[None]])
-        looks = by_class[:, chain.class_of]
-        found = looks[:-1].sum(axis=0)
-        if_seen = np.divide(looks[:-1], found, out=np.zeros_like(looks[:-1]), where=found > 0)
-        first = looks * chain.initial
+        certainty, right = params.certainty, np.eye(len(seen), dtype=bool)
+        levels = zip(certainty.if_right, certainty.if_wrong, strict=True)
+        of_levels = [seen * np.where(right, if_right, if_wrong) for if_right, if_wrong in levels]
+        looks = np.concatenate([*of_levels, params.miss_probs[None]])[:, chain.class_of]
+        k = len(params.states)
+        by_level = looks[:-1].reshape(certainty.levels, k, len(chain))
+        found = by_level.sum(axis=1, keepdims=True)
+        if_level = np.divide(by_level, found, out=np.zeros_like(by_level), where=found > 0)
         # Rows of ones sum over appearances faster than a reduction along the middle axis.
-        ones = np.append(np.ones(len(looks) - 1), 0.0)
-        return cls(chain, looks, if_seen, error_duration_s, first, found, ones)
+        ones = np.zeros((certainty.levels, len(looks)))
+        ones[:, :-1] = np.kron(np.eye(certainty.levels), np.ones(k))
+        return cls(chain, looks, if_level, error_duration_s, looks * chain.initial, ones)
 
     def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
         """Let time pass.
@@ -93,10 +99,11 @@ class AppearanceFilter:
         n, c, k = beliefs.shape
         # One product for all lights and appearances costs less than one for each light; that of "missed" is not used.
         moved = (beliefs.reshape(n * c, k) @ stay).reshape(n, c, k)
-        seen = (self._ones @ beliefs) @ both  # A, then ρ (A − S)
+        seen = ((self._ones @ beliefs).reshape(-1, k) @ both).reshape(n, -1, 2 * k)  # A, then ρ (A − S), of each level
         missed = beliefs[:, -1] @ both[:, :k]
-        fresh = (1 - rho) * (seen[:, :k] + missed)
-        moved[:, :-1] += (fresh * self._found + seen[:, k:])[:, None, :] * self.looks_if_seen
+        fresh = (1 - rho) * (np.add.reduce(seen[:, :, :k], axis=1) + missed)
+        moved[:, :-1] += (seen[:, :, None, k:] * self.looks_if_level).reshape(n, c - 1, k)
+        moved[:, :-1] += fresh[:, None, :] * self.looks[:-1]
         moved[:, -1] = rho * missed + fresh * self.looks[-1]
         return moved
 
@@ -166,30 +173,51 @@ class LookReader:
         columns: (t, k) for each type the columns of a class vector that are its states; C where it has fewer than k.
         scale: (t, k) by which a class's probability is multiplied: what many states are taken for says less.
         temperature: (t,) by which log probabilities are divided, so that they mean what they say.
-        threshold: (t,) calibrated probability from which a detector counts as sure.
+        thresholds: (t, L − 1) log odds of the calibrated probability from which each level begins.
+        dissent: (t, L) chance that a camera of that level of certainty errs alone.
     """
 
     columns: IntArray
     scale: FloatArray
     temperature: FloatArray
-    threshold: FloatArray
+    thresholds: FloatArray
+    dissent: FloatArray
 
     @classmethod
     def of(cls, params: Sequence[HmmParameters], class_ids: Mapping[str, int]) -> Self:
-        """For these types, in this order."""
-        k = max(len(own.states) for own in params)
+        """For these types, in this order.
+
+        Raises:
+            UsageError: If they do not tell equally many levels of certainty apart.
+        """
+        k, levels = max(len(own.states) for own in params), {own.certainty.levels for own in params}
+        if len(levels) > 1:
+            raise UsageError(f"all types must tell equally many levels of certainty apart, got {sorted(levels)}")
         columns, scale = np.full((len(params), k), len(class_ids)), np.zeros((len(params), k))
         for t, own in enumerate(params):
             columns[t, : len(own.states)] = [class_ids[name] for name in own.states]
             total = own.observation.sum(axis=0)
             scale[t, : len(own.states)] = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-        certainty = [own.certainty for own in params]
-        temperature = np.array([own.temperature for own in params])
-        return cls(columns, scale, temperature, np.array([own.threshold for own in certainty]))
+        thresholds = np.array([own.certainty.thresholds for own in params]).reshape(len(params), -1)
+        worth = np.array([own.certainty.if_wrong for own in params]) / np.maximum(
+            np.array([own.certainty.if_right for own in params]), 1e-6
+        )
+        return cls(
+            columns,
+            scale,
+            np.array([own.temperature for own in params]),
+            np.log(thresholds / (1 - thresholds)),
+            _ALONE * np.minimum(worth, 1.0) ** _DISSENT,
+        )
+
+    @property
+    def levels(self) -> int:
+        """How many levels of certainty are told apart."""
+        return int(self.dissent.shape[1])
 
     def read(
         self, class_probs: FloatArray, types: IntArray, *, sharpness: float = _SHARPNESS
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Read what one camera's detector says.
 
         Args:
@@ -198,8 +226,9 @@ class LookReader:
             sharpness: Power of the calibrated class vector.
 
         Returns:
-            (m, k) likelihood of each class being seen, and (m, k) how sure the detector is if that is what it sees. Of
-            several cameras at one instant, the product of the former and the maximum of the latter: they share their
+            (m, k) likelihood of each class being seen, (m, L − 1, k) how far each higher level of certainty is reached
+            if that is what the detector sees, and (m,) the chance that it errs alone. Of several cameras at one
+            instant, the product of the first, each plus its third, and the maximum of the second: they share most
             errors, but who is sure is seldom wrong.
         """
         m, class_count = class_probs.shape
@@ -210,27 +239,42 @@ class LookReader:
         padded[:, :-1] = calibrated
         own = padded.take(self.columns.take(types, axis=0) + (class_count + 1) * np.arange(m)[:, None])
         best = np.maximum.reduce(own, axis=1, keepdims=True)
-        whole = np.add.reduce(calibrated, axis=1, keepdims=True)
+        rest = np.add.reduce(calibrated, axis=1, keepdims=True) - best
         silent = best == 0
         speechless = np.count_nonzero(silent)
         if speechless:
-            own, best, whole = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, whole)
-        margin = (best / whole - self.threshold.take(types)[:, None]) / _DOUBT_WIDTH
-        certainty = 1 / (1 + np.exp(-np.minimum(np.maximum(margin, -30), 30)))
-        sure = np.where(own == best, certainty, 0.0)
+            own, best, rest = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, rest)
+        below = (self.thresholds.take(types, axis=0) - np.log(best / np.maximum(rest, _FLOOR))) / _LEVEL_WIDTH
+        reached = 1 / (1 + np.exp(np.minimum(np.maximum(below, -30), 30)))
         if speechless:
-            sure = np.where(silent, 0.5, sure)
-        return np.asarray((own / best) ** sharpness * self.scale.take(types, axis=0)), sure
+            reached = np.where(silent, np.arange(self.levels - 1, 0, -1) / self.levels, reached)
+        alone = (self.dissent.take(types, axis=0) * _levels(reached)).sum(axis=1)
+        said = np.asarray((own / best) ** sharpness * self.scale.take(types, axis=0))
+        return said, reached[:, :, None] * (own == best)[:, None, :], alone
 
 
-def seen_likelihood(said: FloatArray, sure: FloatArray) -> FloatArray:
-    """(m, 2 k + 1) likelihood of each appearance of lights that were seen, from (m, k) what all cameras said."""
+def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:
+    """(m, L k + 1) likelihood of each appearance of lights that were seen, from what all cameras said.
+
+    Args:
+        said: (m, k) of each class.
+        reached: (m, L − 1, k) how far each level of certainty but the lowest is reached.
+    """
+    levels = _levels(reached)
     slip = np.full((len(said), 1), _SLIP)
-    return np.concatenate([said * sure, said * (1 - sure), slip], axis=1)
+    return np.concatenate([(levels * said[:, None, :]).reshape(len(said), -1), slip], axis=1)
 
 
-def miss_likelihood(state_count: int) -> FloatArray:
-    """(2 k + 1,) likelihood of each appearance for a light that was looked for in vain."""
-    likelihood = np.full(2 * state_count + 1, _SLIP)
+def _levels(reached: FloatArray) -> FloatArray:
+    """(m, L, ...) how far each level of certainty is the one, from how far each but the lowest is reached."""
+    shares = np.empty((len(reached), reached.shape[1] + 1, *reached.shape[2:]))
+    shares[:, 0], shares[:, 1:] = 1.0, reached
+    shares[:, :-1] -= reached
+    return shares
+
+
+def miss_likelihood(state_count: int, levels: int) -> FloatArray:
+    """(L k + 1,) likelihood of each appearance for a light that was looked for in vain."""
+    likelihood = np.full(levels * state_count + 1, _SLIP)
     likelihood[-1] = 1.0
     return likelihood

@@ -22,6 +22,8 @@ class TrackConfig(Config):
         dwell_stages: Mode ``timed``: a least duration (`SignalState.min_s`, the phases of a flash) is passed in so many
             stages; 1 lets every state end at any time, as the paper does.
         odd_changes_per_hour: Mode ``timed``: how often lights do what their description does not foresee.
+        change_odds: Mode ``timed``: what was said before is said again until something else is this many times as
+            probable; 1 says the most probable at any time.
         max_go_risk: Mode ``timed``: "go" is said to nobody who is told to stop with more than this probability.
         min_probability: Mode ``timed``: a state that is less probable is withheld.
         min_missed_px: Mode ``timed``: a light of at least this height that is in plain view and not detected is a hint
@@ -41,6 +43,7 @@ class TrackConfig(Config):
     error_duration_s: float = Field(default=0.4, ge=0)
     dwell_stages: int = Field(default=8, ge=1, le=32)
     odd_changes_per_hour: float = Field(default=1.0, gt=0)
+    change_odds: float = Field(default=3.0, ge=1)
     max_go_risk: float = Field(default=0.1, gt=0, le=1)
     min_probability: float = Field(default=0.25, ge=0, lt=1)
     min_missed_px: float = Field(default=12.0, ge=0)

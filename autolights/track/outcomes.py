@@ -46,11 +46,13 @@ class Outcomes:
         names: g outcomes.
         membership: (K, g) 1 where a hidden state belongs to an outcome.
         contradiction: (g, g) `[i, j]`: 1 where i says "go" to a movement that j tells to stop.
+        stops_flashing: (g, g) `[i, j]`: whether j is i without its flashing.
     """
 
     names: tuple[Outcome, ...]
     membership: FloatArray
     contradiction: FloatArray
+    stops_flashing: BoolArray
 
     @classmethod
     def of(cls, type_name: str, signals: SignalSet, params: HmmParameters, chain: HiddenChain) -> Self:
@@ -74,25 +76,41 @@ class Outcomes:
                 for here in says
             ]
         )  # fmt: skip
-        return cls(names, membership, contradiction)
+        stops = [[i.class_name == j.class_name and i.flashing and not j.flashing for j in names] for i in names]
+        return cls(names, membership, contradiction, np.array(stops))
 
 
-def choose(mass: FloatArray, contradiction: FloatArray, *, max_go_risk: float, min_probability: float) -> Choice:
+def choose(
+    mass: FloatArray,
+    contradiction: FloatArray,
+    said: IntArray,
+    odds: FloatArray,
+    *,
+    max_go_risk: float,
+    min_probability: float,
+) -> Choice:
     """Choose what to say of lights of mixed types.
 
-    The most probable outcome, unless it says "go" to a movement and the belief that this movement is told to stop
-    exceeds `max_go_risk`: then the most probable of the others, as a rule what was said before the change. Where that
-    is too doubtful, the most probable outcome is named, but not to be acted upon.
+    What was said before is said again until something else is so many times as probable as `odds` asks for: of two
+    things that are about equally probable a user hears one, not both by turns. No "go" is said to a movement if the
+    belief that it is told to stop exceeds `max_go_risk`; then what was said before is said, if that is no "go" and not
+    too improbable. Where nothing can be said, the most probable outcome is named, but not to be acted upon.
 
     Args:
         mass: (n, g) belief in each outcome, 0 where a light's type has fewer.
         contradiction: (n, g, g) `Outcomes.contradiction` of each light's type.
+        said: (n,) outcome that was said before; negative for none.
+        odds: (n, g) by which the belief in each outcome is divided; 1 for what was said before, else at least 1.
         max_go_risk: Largest belief in "stop" under which "go" is said.
         min_probability: What is less probable is not to be acted upon.
     """
     risky = (contradiction @ mass[:, :, None])[:, :, 0] > max_go_risk
-    every = np.arange(len(mass))
-    likely, safe = mass.argmax(axis=1), np.where(risky, -1.0, mass).argmax(axis=1)
-    doubtful = (mass[every, safe] < min_probability) | risky[every, safe]
-    chosen = np.where(doubtful, likely, safe)
-    return Choice(chosen, mass[every, chosen], go_held=chosen != likely, doubtful=doubtful)
+    every, before = np.arange(len(mass)), np.maximum(said, 0)
+    sayable = (said >= 0) & ~risky[every, before]
+    likely = mass.argmax(axis=1)
+    chosen = np.where(sayable, (mass / odds).argmax(axis=1), likely)
+    chosen = np.where(sayable & risky[every, chosen], before, chosen)
+    doubtful = (mass[every, chosen] < min_probability) | risky[every, chosen]
+    chosen = np.where(doubtful, likely, chosen)
+    go_held = risky[every, likely] & (chosen != likely)
+    return Choice(chosen, mass[every, chosen], go_held=go_held, doubtful=doubtful)

@@ -6,6 +6,7 @@ import numpy as np
 
 from autolights.core import BoolArray, FloatArray, IntArray, TrafficLightMap
 
+_NEVER = 1e-30  # probability of what nothing speaks for
 _AGREE, _DISAGREE = 0.5, 0.1  # probability that a light and its mates show one class
 
 
@@ -24,16 +25,21 @@ def group_numbers(lights: TrafficLightMap) -> IntArray:
     return numbers
 
 
-def share(own: FloatArray, shared: FloatArray | None, before: IntArray, after: IntArray) -> FloatArray:
+def share(
+    own: FloatArray, shared: FloatArray | None, before: IntArray, after: IntArray, initial: FloatArray
+) -> FloatArray:
     """Beliefs of lights that join and leave groups of evidence.
 
-    Who joins takes over the group's belief in the state and keeps, given the state, its own in its appearance.
+    A new group believes what all its lights have seen, each counted once against what was known before any of them.
+    Who joins later takes over the group's belief in the state. Given the state, all keep their own belief in their
+    appearance.
 
     Args:
         own: (n, c, K) from each light itself.
         shared: (n, c, K) from its group until now; None if there was none.
         before: (n,) group until now; negative for none.
         after: (n,) from now on.
+        initial: (K,) belief in each hidden state before anything was seen, positive.
     """
     fresh = own.copy()
     for group in np.unique(after[after >= 0]):
@@ -43,7 +49,9 @@ def share(own: FloatArray, shared: FloatArray | None, before: IntArray, after: I
             fresh[old] = shared[old]
             state = shared[old[0]].sum(axis=0)
         else:
-            state = own[members[0]].sum(axis=0)
+            evidence = np.log(np.maximum(own[members].sum(axis=1), _NEVER) / initial).sum(axis=0)
+            state = initial * np.exp(evidence - evidence.max())
+            state /= state.sum()
         for slot in np.setdiff1d(members, old):
             marginal = own[slot].sum(axis=0)
             with np.errstate(divide="ignore", invalid="ignore"):

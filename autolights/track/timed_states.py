@@ -26,9 +26,11 @@ class _Model:
     outcomes: Outcomes
     class_membership: FloatArray  # (K, k)
     appearances: IntArray  # (c,) among those of the type with most states
+    appearance_names: tuple[str, ...]  # (c,)
 
     @classmethod
     def of(cls, name: str, signals: SignalSet, params: HmmParameters, widest: int, config: TrackConfig) -> Self:
+        levels = params.certainty.levels
         chain = HiddenChain.of(
             name,
             signals,
@@ -43,7 +45,11 @@ class _Model:
             filter=AppearanceFilter.of(chain, params, error_duration_s=config.error_duration_s),
             outcomes=outcomes,
             class_membership=np.eye(len(params.states))[chain.class_of],
-            appearances=np.concatenate([np.arange(k), widest + np.arange(k), [2 * widest]]),
+            appearances=np.append(np.add.outer(widest * np.arange(levels), np.arange(k)), levels * widest),
+            appearance_names=(
+                *(f"{state}, certainty {i + 1} of {levels}" for i in range(levels) for state in params.states),
+                _MISSED,
+            ),
         )
 
 
@@ -102,6 +108,7 @@ class TimedStates:
         count, outcomes = len(self._models), [model.outcomes for model in self._models]
         most = max(len(own.names) for own in outcomes)
         self._contradiction = np.zeros((count, most, most))
+        self._change_odds = np.ones((count, most, most))
         self._said_class_ids, self._said_flashing = (
             np.zeros((count, most), dtype=np.int64),
             np.zeros((count, most), bool),
@@ -109,14 +116,18 @@ class TimedStates:
         for t, own in enumerate(outcomes):
             g = len(own.names)
             self._contradiction[t, :g, :g] = own.contradiction
+            said_again = np.eye(g, dtype=bool)
+            self._change_odds[t, :g, :g] = np.where(said_again | own.stops_flashing, 1.0, config.change_odds)
             self._said_class_ids[t, :g] = [signals.class_ids[name.class_name] for name in own.names]
             self._said_flashing[t, :g] = [name.flashing for name in own.names]
         self._reader = LookReader.of([hmm[name] for name in signals.types], signals.class_ids)
-        self._missed = miss_likelihood(widest)
+        self._missed = miss_likelihood(widest, self._reader.levels)
         self._types: IntArray = np.empty(0, dtype=np.int64)
         self._groups: IntArray = np.empty(0, dtype=np.int64)
         self._disputes = GroupDisputes(config.dispute_after_s)
         self._looked = np.empty(0, dtype=bool)
+        self._alive = np.empty(0, dtype=bool)
+        self._said: IntArray = np.empty(0, dtype=np.int64)  # outcome that was reported last, −1 for none
         self._blocks = [self._fresh(t, np.empty(0, dtype=np.int64)) for t in range(len(self._models))]
         self._now_ms: int | None = None
 
@@ -126,6 +137,8 @@ class TimedStates:
         self._types = np.concatenate([self._types, types])
         self._groups = np.concatenate([self._groups, groups])
         self._looked = np.concatenate([self._looked, np.zeros(len(types), dtype=bool)])
+        self._alive = np.concatenate([self._alive, np.zeros(len(types), dtype=bool)])
+        self._said = np.concatenate([self._said, np.full(len(types), -1)])
         self._disputes.append(len(types))
         for t in np.unique(types):
             self._blocks[t] = _join(self._blocks[t], self._fresh(t, rows[types == t]))
@@ -135,6 +148,7 @@ class TimedStates:
         place = np.full(len(self._types), -1)
         place[rows] = np.arange(len(rows))
         self._types, self._groups, self._looked = self._types[rows], self._groups[rows], self._looked[rows]
+        self._alive, self._said = self._alive[rows], self._said[rows]
         self._disputes.keep(rows)
         for t, block in enumerate(self._blocks):
             kept = place[block.rows] >= 0
@@ -145,6 +159,7 @@ class TimedStates:
     def start_anew(self, rows: IntArray, types: IntArray) -> None:
         """Forget what is known of some tracks' states; they may have other types now."""
         self._disputes.reset(rows)
+        self._said[rows] = -1
         for t, block in enumerate(self._blocks):
             gone = np.isin(block.rows, rows)
             if gone.any():
@@ -181,24 +196,26 @@ class TimedStates:
 
         That a camera missed a light which another one saw says nothing about its state.
         """
-        n, k = len(self._types), len(self._missed) // 2
-        said, sure = np.ones((n, k)), np.zeros((n, k))
+        n, k, levels = len(self._types), self._reader.columns.shape[1], self._reader.levels
+        said, reached = np.ones((n, k)), np.zeros((n, levels - 1, k))
         looked = self._looked = np.zeros(n, dtype=bool)
         seen = [look for look in looks if len(look.rows)]
         if seen:
             # All cameras are read at once: each call costs more than its numbers.
             rows = np.concatenate([look.rows for look in seen])
-            all_said, all_sure = self._reader.read(
+            several = np.bincount(rows, minlength=n)[rows] > 1
+            all_said, all_reached, alone = self._reader.read(
                 np.concatenate([look.class_probs for look in seen]), self._types[rows]
             )
+            all_said[several] += alone[several, None]
             start = 0
             for look in seen:
                 here = slice(start, start + len(look.rows))
                 said[look.rows] *= all_said[here]
-                sure[look.rows] = np.maximum(sure[look.rows], all_sure[here])
+                reached[look.rows] = np.maximum(reached[look.rows], all_reached[here])
                 start = here.stop
             looked[rows] = True
-        likelihood = np.where(looked[:, None], seen_likelihood(said, sure), 1.0)
+        likelihood = np.where(looked[:, None], seen_likelihood(said, reached), 1.0)
         for look in looks:
             if len(look.missed):
                 likelihood[look.missed[~looked[look.missed]]] = self._missed
@@ -211,6 +228,7 @@ class TimedStates:
 
     def end_set(self, alive: BoolArray) -> None:
         """Say which tracks are alive; only these share evidence."""
+        self._alive = alive
         if not self._config.share_groups or not np.count_nonzero(self._groups >= 0):
             return
         now_ms = self._now_ms or 0
@@ -225,7 +243,7 @@ class TimedStates:
             numbers, counts = np.unique(joined, return_counts=True)
             joined[~np.isin(joined, numbers[counts > 1])] = -1
             if not np.array_equal(joined, block.joined):
-                block.shared = share(block.own, block.shared, block.joined, joined)
+                block.shared = share(block.own, block.shared, block.joined, joined, model.filter.chain.initial)
                 block.joined = joined
                 block.settled()
 
@@ -241,9 +259,12 @@ class TimedStates:
         choice = choose(
             mass,
             self._contradiction[types],
+            self._said,
+            self._change_odds[types, self._said],
             max_go_risk=self._config.max_go_risk,
             min_probability=self._config.min_probability,
         )
+        self._said = np.where(self._alive, np.where(choice.doubtful, self._said, choice.outcome), -1)
         return Reports(
             class_ids=self._said_class_ids[types, choice.outcome],
             flashing=self._said_flashing[types, choice.outcome],
@@ -269,7 +290,7 @@ class TimedStates:
             },
             "appearance": dict(
                 zip(
-                    (*model.states, *(f"{name}, in doubt" for name in model.states), _MISSED),
+                    model.appearance_names,
                     np.round(belief.sum(axis=1), 4).tolist(),
                     strict=True,
                 )
@@ -303,6 +324,7 @@ class TimedStates:
             "now_ms": self._now_ms,
             "groups": self._groups.tolist(),
             "disputes": self._disputes.to_json(),
+            "said": self._said.tolist(),
             "blocks": [
                 {
                     "rows": block.rows.tolist(),
@@ -322,7 +344,8 @@ class TimedStates:
         """
         self._now_ms = values["now_ms"]
         self._types, self._groups = types, np.array(values["groups"], dtype=np.int64)
-        self._looked = np.zeros(len(types), dtype=bool)
+        self._looked, self._alive = np.zeros((2, len(types)), dtype=bool)
+        self._said = np.array(values["said"], dtype=np.int64)
         self._disputes.restore(values["disputes"])
         blocks = []
         for t, saved in enumerate(values["blocks"]):

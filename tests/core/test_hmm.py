@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autolights.core import HmmParameters, load_hmm, save_hmm
+from autolights.core import Certainty, HmmParameters, load_hmm, save_hmm
 from autolights.core.errors import DataError
 
 
@@ -89,3 +89,23 @@ def test_broken_files(tmp_path, text, message):
 def test_missing_file(tmp_path):
     with pytest.raises(DataError, match=r"gone\.json: cannot be read \(No such file"):
         load_hmm(tmp_path / "gone.json")
+
+
+def test_the_two_levels_of_older_bundles_are_read() -> None:
+    old = {"threshold": 0.9, "sure_if_right": 0.75, "sure_if_wrong": 0.25}
+    assert Certainty.from_json(old) == Certainty((0.9,), (0.25, 0.75), (0.75, 0.25))
+    three = Certainty((0.5, 0.9), (0.1, 0.2, 0.7), (0.6, 0.3, 0.1))
+    assert Certainty.from_json(three.to_json()) == three
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (((0.9, 0.5), (0.2, 0.3, 0.5), (0.2, 0.3, 0.5)), r"thresholds must ascend within \(0, 1\), got \[0.9, 0.5\]"),
+        (((0.5,), (0.2, 0.7), (0.5, 0.5)), r"if_right must hold 2 probabilities that sum to 1, .* got \[0.2, 0.7\]"),
+        (((0.5,), (0.3, 0.7), (1.0,)), r"if_wrong must hold 2 probabilities"),
+    ],
+)
+def test_levels_of_certainty_fit_together(values: tuple[tuple[float, ...], ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Certainty(*values)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from autolights.core import Certainty, HmmParameters, SignalSet, load_signals
+from autolights.core.errors import UsageError
 from autolights.track import hmm_predict, hmm_update
 from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
 from autolights.track.hidden_chain import HiddenChain
@@ -27,9 +28,9 @@ def make_filter(
 
 
 def test_filter_is_the_sum_over_all_paths_of_states_and_appearances(hmm: Hmm) -> None:
-    own = make_filter(replace(hmm["3"], certainty=Certainty(0.8, 0.7, 0.1)))
+    own = make_filter(replace(hmm["3"], certainty=Certainty((0.8,), (0.3, 0.7), (0.9, 0.1))))
     rng = np.random.default_rng(1)
-    k, c = len(own.chain), len(own.looks)
+    k, c, classes = len(own.chain), len(own.looks), 3
     # Uneven times, twice the same instant.
     steps_ms, likelihoods = [100, 0, 330], rng.random((3, c))
     belief = own.first[None]
@@ -44,7 +45,10 @@ def test_filter_is_the_sum_over_all_paths_of_states_and_appearances(hmm: Hmm) ->
         rho = np.exp(-duration_ms / 400)
         after = dict.fromkeys(points, 0.0)
         for (a, q), (b, r) in product(points, points):
-            seen = own.looks[b, r] / own.looks[:-1, r].sum() if b < c - 1 else 0.0
+            # A new state is seen anew, as surely as the one before.
+            same_level = b < c - 1 and a // classes == b // classes
+            level = slice(b // classes * classes, b // classes * classes + classes)
+            seen = own.looks[b, r] / own.looks[level, r].sum() if same_level else 0.0
             hidden = change[q, r] * (a == b)  # what hides a light goes on to hide it
             held = hidden if a == c - 1 else stay[q, r] * (a == b) + (change[q, r] - stay[q, r]) * seen
             step = rho * held + (1 - rho) * change[q, r] * own.looks[b, r]
@@ -74,12 +78,12 @@ def test_without_lasting_errors_and_misses_it_is_the_papers_filter(hmm: Hmm, typ
 def likelihood(params: HmmParameters, x: np.ndarray, **how: float) -> np.ndarray:
     """Of a class vector over the type's own states."""
     reader = LookReader.of([params], {name: i for i, name in enumerate(params.states)})
-    return seen_likelihood(*reader.read(x[None], np.zeros(1, dtype=int), **how))
+    return seen_likelihood(*reader.read(x[None], np.zeros(1, dtype=int), **how)[:2])
 
 
 def look(params: HmmParameters, name: str | None) -> np.ndarray:
     if name is None:
-        return miss_likelihood(len(params.states))[None]
+        return miss_likelihood(len(params.states), params.certainty.levels)[None]
     return likelihood(params, np.where(np.array(params.states) == name, 0.9, 0.01))
 
 
@@ -143,7 +147,7 @@ def test_time_and_rates_scaled_together_change_nothing(hmm: Hmm, scale: int, ste
 
 
 def test_who_is_sure_is_believed_sooner(hmm: Hmm) -> None:
-    params = replace(hmm["3"], certainty=Certainty(0.8, 0.8, 0.05))
+    params = replace(hmm["3"], certainty=Certainty((0.8,), (0.2, 0.8), (0.95, 0.05)))
     own = make_filter(params)
     red, green = (own.chain.class_of == params.states.index(name) for name in ("3-red", "3-green"))
     belief = own.first[None] * red
@@ -157,13 +161,51 @@ def test_who_is_sure_is_believed_sooner(hmm: Hmm) -> None:
 
 
 def test_of_two_cameras_the_sure_one_is_heard(hmm: Hmm) -> None:
-    params = replace(hmm["3"], certainty=Certainty(0.8, 0.8, 0.05))
+    params = replace(hmm["3"], certainty=Certainty((0.8,), (0.2, 0.8), (0.95, 0.05)))
     reader = LookReader.of([params], {name: i for i, name in enumerate(params.states)})
     doubting, knowing = np.array([[0.02, 0.5, 0.4]]), np.array([[0.01, 0.01, 0.95]])
     types = np.zeros(1, dtype=int)
-    (said, sure), (said_2, sure_2) = reader.read(doubting, types), reader.read(knowing, types)
-    together = seen_likelihood(said * said_2, np.maximum(sure, sure_2))[0]
-    assert np.argmax(together) == 2, "yellow, for sure"
+    (said, level, alone), (said_2, level_2, alone_2) = reader.read(doubting, types), reader.read(knowing, types)
+    together = seen_likelihood((said + alone) * (said_2 + alone_2), np.maximum(level, level_2))[0]
+    assert alone_2 < alone, "who is sure seldom errs alone"
+    assert np.argmax(together) == len(params.states) + 2, "yellow, for sure"
+
+
+def test_an_unsure_camera_does_not_overrule_a_sure_one_however_long_it_dissents(hmm: Hmm) -> None:
+    params = replace(hmm["3"], certainty=Certainty((0.8,), (0.2, 0.8), (0.95, 0.05)))
+    own, reader = make_filter(params), LookReader.of([params], {name: i for i, name in enumerate(params.states)})
+    red, green = (own.chain.class_of == params.states.index(name) for name in ("3-red", "3-green"))
+    belief = own.first[None] * green
+    belief /= belief.sum()
+    looks = np.full((2, 3), 0.01)
+    looks[0, params.states.index("3-green")] = 0.97
+    looks[1, params.states.index("3-red")], looks[1, params.states.index("3-green")] = 0.7, 0.28
+    for _ in range(10):
+        said, reached, alone = reader.read(looks, np.zeros(2, dtype=int))
+        both = seen_likelihood((said + alone[:, None]).prod(axis=0)[None], reached.max(axis=0)[None])
+        belief = own.update(own.predict(belief, 100), both)
+        state = belief[0].sum(axis=0)
+        assert state[green].sum() > 0.9 > 0.05 > state[red].sum()
+
+
+def test_a_light_seen_clearly_has_not_changed_because_the_view_became_poor(hmm: Hmm) -> None:
+    params = replace(hmm["3"], certainty=Certainty((0.8,), (0.2, 0.8), (0.95, 0.05)))
+    own = make_filter(params)
+    yellow, red = (params.states.index(name) for name in ("3-yellow", "3-red"))
+    doubt = likelihood(params, np.eye(3)[red] * 0.4 + 0.2)
+    odds = []
+    for level in (0, 1):
+        belief = np.zeros_like(own.first)[None]
+        belief[0, level * 3 + yellow] = own.first[yellow] * (own.chain.class_of == yellow)
+        state = own.update(own.predict(belief / belief.sum(), 100), doubt)[0].sum(axis=0)
+        odds.append(state[own.chain.class_of == red].sum() / state[own.chain.class_of == yellow].sum())
+    assert odds[0] > 2 * odds[1]
+
+
+def test_types_must_tell_equally_many_levels_apart(hmm: Hmm) -> None:
+    other = replace(hmm["3"], certainty=Certainty((0.8,), (0.2, 0.8), (0.95, 0.05)))
+    with pytest.raises(UsageError, match=r"equally many levels of certainty apart, got \[1, 2\]"):
+        LookReader.of([hmm["4"], other], {name: i for i, name in enumerate(SIGNALS.classes)})
 
 
 def test_two_half_times_are_one(hmm: Hmm) -> None:
@@ -201,3 +243,9 @@ def test_what_the_model_calls_impossible_is_believed_as_at_first_sight(hmm: Hmm)
     likelihood = np.zeros((1, len(own.looks)))
     likelihood[0, 1] = 1.0
     np.testing.assert_allclose(own.update(belief, likelihood)[0].sum(axis=0), own.first[1] / own.first[1].sum())
+
+
+def test_a_look_at_another_type_says_nothing(hmm: Hmm) -> None:
+    params = replace(hmm["3"], certainty=Certainty((0.5, 0.8), (0.1, 0.2, 0.7), (0.6, 0.3, 0.1)))
+    looks = likelihood(params, np.zeros(3))[0, :-1].reshape(3, 3)
+    np.testing.assert_allclose(looks, looks[:1].repeat(3, axis=0), err_msg="each level is as likely as the others")

@@ -4,6 +4,8 @@ References:
     Guo et al. 2017, On calibration of modern neural networks (temperature scaling, expected calibration error).
 """
 
+from itertools import combinations
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -13,7 +15,8 @@ from autolights.core.calibration import Calibration
 _TEMPERATURES = (0.2, 5.0)
 _PRIOR_SIGMA = 0.5  # of log temperature: a handful of images must not make a detector all-knowing
 _BINS = 15
-_THRESHOLDS = np.arange(0.3, 0.995, 0.01)
+_LEVELS = 3
+_THRESHOLDS = 1 / (1 + np.exp(-np.arange(-1.0, 6.01, 0.2)))  # even in log odds
 _FLOOR = 1e-6  # of a sigmoid
 
 
@@ -21,8 +24,7 @@ def fit_calibration(class_probs: FloatArray, truth_ids: IntArray) -> Calibration
     """Fit how to read class vectors.
 
     The temperature is the one under which the true classes are most probable, with a log-normal prior around 1 that
-    weighs as much as one look. The threshold of certainty is the one that tells most about right and wrong, both
-    counted with one more of each kind.
+    weighs as much as one look. The levels of certainty are those that tell most about right and wrong.
 
     Args:
         class_probs: (n, C) sigmoids of detections that were matched to labels.
@@ -72,20 +74,35 @@ def _mean_nll(shares: FloatArray, truth_ids: IntArray) -> float:
 
 
 def _certainty(confidence: FloatArray, right: BoolArray) -> Certainty:
-    """The threshold with the largest mutual information between "sure" and "right"."""
-    sure = confidence[:, None] >= _THRESHOLDS
-    if_right = (sure[right].sum(axis=0) + 1) / (right.sum() + 2)
-    if_wrong = (sure[~right].sum(axis=0) + 1) / ((~right).sum() + 2)
+    """The thresholds with the largest mutual information between the level of confidence and "right".
+
+    Each level counts one more of each kind, so what was seen little says little; a surer level is worth more.
+    """
+    best, found = -1.0, Certainty()
+    above = confidence[:, None] >= _THRESHOLDS
+    right_above, wrong_above = above[right].sum(axis=0), above[~right].sum(axis=0)
     share = (right.sum() + 1) / (len(right) + 2)
-    both = share * if_right + (1 - share) * if_wrong
-    information = _entropy(both) - share * _entropy(if_right) - (1 - share) * _entropy(if_wrong)
-    best = int(np.argmax(np.where(if_right >= if_wrong, information, -1.0)))
-    return Certainty(
-        threshold=round(float(_THRESHOLDS[best]), 4),
-        sure_if_right=round(float(if_right[best]), 5),
-        sure_if_wrong=round(float(if_wrong[best]), 5),
-    )
+    for chosen in combinations(range(len(_THRESHOLDS)), _LEVELS - 1):
+        counts = np.array(
+            [
+                -np.diff(np.concatenate([[total], of_kind[list(chosen)], [0]])) + 1.0
+                for total, of_kind in ((right.sum(), right_above), ((~right).sum(), wrong_above))
+            ]
+        )
+        if_right, if_wrong = counts / counts.sum(axis=1, keepdims=True)
+        if (np.diff(if_right / if_wrong) < 0).any():
+            continue
+        both = share * if_right + (1 - share) * if_wrong
+        information = _entropy(both) - share * _entropy(if_right) - (1 - share) * _entropy(if_wrong)
+        if information > best:
+            thresholds = tuple(round(float(_THRESHOLDS[i]), 4) for i in chosen)
+            best, found = information, Certainty(thresholds, _rounded(if_right), _rounded(if_wrong))
+    return found
 
 
-def _entropy(probability: FloatArray) -> FloatArray:
-    return np.asarray(-probability * np.log(probability) - (1 - probability) * np.log(1 - probability))
+def _rounded(probs: FloatArray) -> tuple[float, ...]:
+    return tuple(round(float(p), 5) for p in probs)
+
+
+def _entropy(probs: FloatArray) -> float:
+    return float(-(probs * np.log(probs)).sum())
