@@ -262,7 +262,8 @@ def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:
     """
     levels = _levels(reached)
     slip = np.full((len(said), 1), _SLIP)
-    return np.concatenate([(levels * said[:, None, :]).reshape(len(said), -1), slip], axis=1)
+    count, k = said.shape
+    return np.concatenate([(levels * said[:, None, :]).reshape(count, levels.shape[1] * k), slip], axis=1)
 
 
 def _levels(reached: FloatArray) -> FloatArray:

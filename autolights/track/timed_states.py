@@ -15,6 +15,7 @@ from autolights.track.signal_groups import GroupDisputes, share
 from autolights.track.states import Looks, Reports
 
 _MISSED = "missed"
+_SURELY = 0.5  # how far the highest level of certainty is reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,7 @@ class TimedStates:
         self._disputes = GroupDisputes(config.dispute_after_s)
         self._looked = np.empty(0, dtype=bool)
         self._alive = np.empty(0, dtype=bool)
+        self._surely_seen = np.empty((0, widest))  # how surely a camera saw each class in this set
         self._said: IntArray = np.empty(0, dtype=np.int64)  # outcome that was reported last, −1 for none
         self._blocks = [self._fresh(t, np.empty(0, dtype=np.int64)) for t in range(len(self._models))]
         self._now_ms: int | None = None
@@ -138,6 +140,7 @@ class TimedStates:
         self._groups = np.concatenate([self._groups, groups])
         self._looked = np.concatenate([self._looked, np.zeros(len(types), dtype=bool)])
         self._alive = np.concatenate([self._alive, np.zeros(len(types), dtype=bool)])
+        self._surely_seen = np.pad(self._surely_seen, ((0, len(types)), (0, 0)))
         self._said = np.concatenate([self._said, np.full(len(types), -1)])
         self._disputes.append(len(types))
         for t in np.unique(types):
@@ -148,7 +151,7 @@ class TimedStates:
         place = np.full(len(self._types), -1)
         place[rows] = np.arange(len(rows))
         self._types, self._groups, self._looked = self._types[rows], self._groups[rows], self._looked[rows]
-        self._alive, self._said = self._alive[rows], self._said[rows]
+        self._alive, self._said, self._surely_seen = self._alive[rows], self._said[rows], self._surely_seen[rows]
         self._disputes.keep(rows)
         for t, block in enumerate(self._blocks):
             kept = place[block.rows] >= 0
@@ -175,7 +178,8 @@ class TimedStates:
         for column in (block.own, block.joined, *(() if block.shared is None else (block.shared,))):
             column[to] = column[origin]
         block.settled()
-        self._groups[row], self._looked[row] = self._groups[source], self._looked[source]
+        for column in (self._groups, self._looked, self._said):
+            column[row] = column[source]
         self._disputes.take_over(row, source)
 
     def let_time_pass(self, stamp_ns: int) -> None:
@@ -215,6 +219,7 @@ class TimedStates:
                 reached[look.rows] = np.maximum(reached[look.rows], all_reached[here])
                 start = here.stop
             looked[rows] = True
+        self._surely_seen = reached[:, -1] if levels > 1 else np.zeros((n, k))
         likelihood = np.where(looked[:, None], seen_likelihood(said, reached), 1.0)
         for look in looks:
             if len(look.missed):
@@ -251,14 +256,21 @@ class TimedStates:
         """What is said of each track."""
         n, types = len(self._types), self._types
         mass, shares = np.zeros((n, self._contradiction.shape[1])), np.zeros(n, dtype=bool)
+        denied = np.zeros(mass.shape, dtype=bool)
         for block, model in zip(self._blocks, self._models, strict=True):
             if len(block.rows):
                 states = model.filter.states(block.told)
                 mass[block.rows, : len(model.outcomes.names)] = states @ model.outcomes.membership
+                denials = self._surely_seen[block.rows][:, : len(model.states)] @ model.outcomes.denied_by
+                # What is surely seen of one light of a group is denied to all of them.
+                denied[block.rows, : len(model.outcomes.names)] = (
+                    block.members.T @ (block.members @ (denials > _SURELY)) > 0
+                )
                 shares[block.rows] = block.joined >= 0
         choice = choose(
             mass,
             self._contradiction[types],
+            denied,
             self._said,
             self._change_odds[types, self._said],
             max_go_risk=self._config.max_go_risk,
@@ -346,6 +358,7 @@ class TimedStates:
         self._types, self._groups = types, np.array(values["groups"], dtype=np.int64)
         self._looked, self._alive = np.zeros((2, len(types)), dtype=bool)
         self._said = np.array(values["said"], dtype=np.int64)
+        self._surely_seen = np.zeros((len(types), self._reader.columns.shape[1]))
         self._disputes.restore(values["disputes"])
         blocks = []
         for t, saved in enumerate(values["blocks"]):
