@@ -85,8 +85,8 @@ class Parity:
         score: Of any score or class probability of such a light; of fp16 in all but the worst 2 %.
         unmatched: Such lights that only one of the two reports, left aside those about as good as the threshold, or as
             the last of a full list, and those that a near tie in suppression explains (see `near_ties`).
-        agreement: Share of lights that both report when nothing but the 512 best rows of an image limits them: mostly
-            lights far below the score threshold.
+        agreement: Share of lights that both report when nothing but the 512 best rows of an image limits them, the same
+            left aside: mostly lights far below the score threshold.
         candidates: The most rows above the score threshold that an image had.
     """
 
@@ -251,12 +251,7 @@ class _Differences:
         ours = candidates.suppressed(self.info)
         threshold = self.info.score_threshold
         a, b = match_boxes(ours.boxes_xyxy, theirs.boxes_xyxy, iou_threshold=self.tolerance.match_iou)
-        self.both += 2 * len(a)
-        self.all += len(ours.scores) + len(theirs.scores)
         self.detections += int(np.count_nonzero(ours.scores >= threshold))
-        # What is about as good as the threshold, or as the last of a full list, may be on one side only.
-        full = [lights.scores[-1] for lights in (ours, theirs) if len(lights.scores) == self.info.max_detections]
-        counts = max([threshold, *full]) + self.tolerance.score
         single = (np.setdiff1d(np.arange(len(ours.scores)), a), np.setdiff1d(np.arange(len(theirs.scores)), b))
         explained = decided_by_rounding(
             (ours.boxes_xyxy, theirs.boxes_xyxy),
@@ -265,14 +260,30 @@ class _Differences:
             Near(self.info.nms_iou_threshold, self.tolerance.tie_iou, self.tolerance.score),
         )
         theirs_alone = theirs.boxes_xyxy[single[1]], theirs.scores[single[1]]
-        unmatched_ours = ~explained[0] & (ours.scores[single[0]] > counts)
-        unmatched_theirs = ~(explained[1] & self._among(candidates, *theirs_alone)) & (theirs_alone[1] > counts)
-        self.unmatched += int(np.count_nonzero(unmatched_ours) + np.count_nonzero(unmatched_theirs))
+        # What is about as good as the last that the other side could report, or took part at all, it may lack.
+        least = float(candidates.scores.min(initial=0.0))
+        left = np.concatenate(
+            [
+                ours.scores[single[0]][~explained[0] & (ours.scores[single[0]] > self._last(theirs, least))],
+                theirs_alone[1][
+                    ~(explained[1] & self._among(candidates, *theirs_alone))
+                    & (theirs_alone[1] > self._last(ours, least))
+                ],
+            ]
+        )
+        self.both += 2 * len(a)
+        self.all += 2 * len(a) + len(left)
+        self.unmatched += int(np.count_nonzero(left > threshold + self.tolerance.score))
         shown = ours.scores[a] >= threshold
         a, b = a[shown], b[shown]
         self.moved += np.abs(ours.boxes_xyxy[a] - theirs.boxes_xyxy[b]).max(axis=1).tolist()
         probs = np.abs(ours.class_probs[a] - theirs.class_probs[b]).max(axis=1)
         self.scores += np.maximum(np.abs(ours.scores[a] - theirs.scores[b]), probs).tolist()
+
+    def _last(self, lights: _Lights, least: float) -> float:
+        """Up to which score a list may lack lights because it is full, or because they were no candidates."""
+        full = len(lights.scores) == self.info.max_detections
+        return max(float(lights.scores[-1]) if full else least, least) + self.tolerance.score
 
     def _among(self, candidates: _Lights, boxes_xyxy: FloatArray, scores: FloatArray) -> BoolArray:
         """Which lights the network has as well, if only before suppression."""

@@ -109,8 +109,7 @@ def test_lights_that_rounding_suppresses_are_left_aside(wanted, got):
     for ours, theirs in ((wanted, got), (got, wanted)):
         parity = compared(ours, theirs)
 
-        assert parity.unmatched == 0
-        assert parity.agreement < 1
+        assert (parity.unmatched, parity.agreement) == (0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -147,3 +146,22 @@ def test_rounding_in_a_crowd_explains_everything_and_a_lost_light_nothing():
 
         assert compared(crowd, rounded).unmatched == 0
         assert compared(crowd, rounded[:-1].repeat([1] * 59 + [2], axis=0)).unmatched == 1
+
+
+def test_only_a_full_list_may_lack_its_last_lights():
+    apart = [(20 * i, 20, 10, 0.9 - 0.01 * i) for i in range(4)]
+    full = ModelInfo(classes=("a", "b"), size_wh=(96, 64), opset=17, precision="fp32", max_detections=3, head="end2end")
+    nearly = rows(*apart[:2], (40, 20, 10, 0.88), (60, 20, 10, 0.87995))
+
+    def parity_of(reported):
+        found = _Differences(full)
+        boxes = np.hstack([reported[:, :2] - reported[:, 2:4] / 2, reported[:, :2] + reported[:, 2:4] / 2])
+        outputs = [boxes, reported[:, 4], np.zeros(len(reported), np.int64), reported[:, 5:]]
+        found.add(nearly[None], [output[None] for output in outputs])
+        return found.parity()
+
+    other_last = parity_of(nearly[[0, 1, 3]])
+    assert (other_last.unmatched, other_last.agreement) == (0, 1.0)
+    not_full = parity_of(nearly[:2])
+    assert (not_full.unmatched, not_full.agreement) == (1, 0.8)
+    assert parity_of(nearly[:0]).agreement == 0
