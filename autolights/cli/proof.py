@@ -65,7 +65,7 @@ def map_audit(
     audit.html and map.geojson into --out. The runs are of variant full.
 
     \b
-    Example: autolights map-audit runs/demo/estimates/* --out runs/map_audit
+    Example: autolights map-audit runs/demo/estimates/sunny --out runs/map_audit
              autolights map-audit runs/monday runs/tuesday --correct missing --correct moved
     """
     from autolights.core import load_signals
