@@ -169,7 +169,7 @@ class Shots:
         """
         points = self.normalized(points_px, images)
         if self.optics.is_distorted:
-            bounds = np.searchsorted(images, np.arange(len(self) + 1)).tolist()
+            bounds = images.searchsorted(range(len(self) + 1)).tolist()
             for camera, start, end in zip(self.optics.cameras, bounds[:-1], bounds[1:], strict=True):
                 if start < end and len(camera.distortion):
                     bent = np.ascontiguousarray(points[:, start:end].T)[:, None]

@@ -22,9 +22,10 @@ def check_rigid(b_from_a: FloatArray, name: str) -> None:
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """(4, 4) from a (3, 3) rotation and a (3,) translation."""
-    matrix = np.eye(4)
+    matrix = np.zeros((4, 4))
     matrix[:3, :3] = rotation
     matrix[:3, 3] = translation
+    matrix[3, 3] = 1.0
     return matrix
 
 

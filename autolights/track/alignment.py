@@ -284,7 +284,9 @@ class _Problem:
         terms[0] /= np.square(self.sigmas_px.take(lights))
         np.multiply(terms[0], effect.nearness, out=terms[1])
         np.multiply(terms[1], effect.nearness, out=terms[2])
-        sums = (terms.reshape(15, -1) @ np.eye(s).take(effect.images, axis=0)).T  # (s, 15)
+        of_image = np.zeros((len(lights), s))
+        of_image[np.arange(len(lights)), effect.images] = 1.0
+        sums = (terms.reshape(15, -1) @ of_image).T  # (s, 15)
         information = sums.take(_INFORMATION, axis=1)
         covariances = np.linalg.inv(np.linalg.inv(priors) + information)
         pairs = np.bincount(effect.images, minlength=s)

@@ -176,7 +176,7 @@ class LightPlaces:
         told = difference + (jacobian[..., :LIGHT] @ found[..., None])[..., 0] + of_shared @ self._shared
         scaled = (jacobian * (weights[:, None] / variances)[..., None]).swapaxes(1, 2)
         information, vectors = scaled @ jacobian, (scaled @ told[..., None])[..., 0]
-        bounds = np.searchsorted(images, range(len(shots) + 1)).tolist()
+        bounds = images.searchsorted(range(len(shots) + 1)).tolist()
         for image, number in enumerate(numbers.tolist()):  # of two images, a light gets what both tell
             here = slice(bounds[image], bounds[image + 1])
             mine = rows[here]

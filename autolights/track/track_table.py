@@ -144,7 +144,9 @@ class TrackTable:
         of_each = [slots.setdefault(row, len(slots)) for row in rows.tolist()]
         each = np.array(list(slots))
         terms = np.concatenate([information, pulls], axis=2).reshape(-1, 12)
-        told = (np.eye(len(each)).take(of_each, axis=1) @ terms).reshape(-1, 3, 4)
+        of_light = np.zeros((len(each), len(rows)))
+        of_light[of_each, np.arange(len(rows))] = 1.0
+        told = (of_light @ terms).reshape(-1, 3, 4)
         total = self.information.take(each, axis=0) + told[:, :, :3]
         self.information[each] = total
         self.positions[each] += np.linalg.solve(total, told[:, :, 3:])[..., 0]
