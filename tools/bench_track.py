@@ -2,7 +2,7 @@
 
 Usage: python tools/bench_track.py [--lights 20] [--unmapped 2] [--sets 600] [--config runtime/default]
        python tools/bench_track.py --map-lights 1000000     the same lights in a map of a million; a query of that map
-       python tools/bench_track.py --soak 100000            laps of a road with 40 junctions; the memory now and then
+       python tools/bench_track.py --soak 100000            laps of a road with 10 junctions; the memory now and then
 """
 
 import argparse
@@ -30,7 +30,7 @@ from autolights.pipeline import LightPipeline, PipelineConfig
 
 RATE_HZ = 10.0
 LIGHTS_PER_KM2 = 100.0  # of a large map
-SPEED_MPS, JUNCTIONS, SPACING_M = 12.0, 40, 90.0  # of the soak
+SPEED_MPS, JUNCTIONS, SPACING_M = 12.0, 10, 90.0  # of the soak
 IMAGE = np.zeros((1, 1, 3), np.uint8)  # never looked at
 
 
@@ -148,9 +148,8 @@ def soak(
         times_ms.append((time.perf_counter_ns() - start_ns) / 1e6)
         if (i + 1) % max(sets // 10, 1) == 0:
             gc.collect()
-            state = len(str(pipeline.to_json()))
             print(
-                f"{i + 1:8d} sets: {resident_mb():.1f} MB, state {state / 1e3:.0f} kB, "
+                f"{i + 1:8d} sets: {resident_mb():.1f} MB, {len(gc.get_objects())} objects, "
                 f"{reported / (i + 1):.1f} lights reported, median {np.median(times_ms):.2f} ms",
                 flush=True,
             )
