@@ -22,6 +22,7 @@ class Certainty:
             second, third, … level.
         if_right: (L) P(level | it sees the true class), from the least sure to the surest.
         if_wrong: (L) P(level | it sees another class). Equal to the former, being sure says nothing.
+        second_if_wrong: P(the true class comes second | it sees another class); 0 where nobody counted.
 
     Raises:
         ValueError: If the levels do not fit together, or the probabilities are none.
@@ -30,6 +31,7 @@ class Certainty:
     thresholds: tuple[float, ...] = ()
     if_right: tuple[float, ...] = (1.0,)
     if_wrong: tuple[float, ...] = (1.0,)
+    second_if_wrong: float = 0.0
 
     def __post_init__(self) -> None:
         if list(self.thresholds) != sorted(set(self.thresholds)) or not all(0 < t < 1 for t in self.thresholds):
@@ -42,14 +44,17 @@ class Certainty:
                     f"got {list(probs)}"
                 )
 
+        if not 0 <= self.second_if_wrong <= 1:
+            raise ValueError(f"certainty.second_if_wrong must lie in [0, 1], got {self.second_if_wrong}")
+
     @property
     def levels(self) -> int:
         """How many levels are told apart."""
         return len(self.thresholds) + 1
 
-    def to_json(self) -> dict[str, list[float]]:
+    def to_json(self) -> dict[str, Any]:
         """As JSON-ready values."""
-        return {name: list(values) for name, values in vars(self).items()}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Self:
@@ -61,7 +66,8 @@ class Certainty:
         if "threshold" in values:
             right, wrong = float(values["sure_if_right"]), float(values["sure_if_wrong"])
             return cls((float(values["threshold"]),), (1 - right, right), (1 - wrong, wrong))
-        return cls(**{name: tuple(float(v) for v in values[name]) for name in ("thresholds", "if_right", "if_wrong")})
+        columns = {name: tuple(float(v) for v in values[name]) for name in ("thresholds", "if_right", "if_wrong")}
+        return cls(**columns, second_if_wrong=float(values.get("second_if_wrong", 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,6 +37,7 @@ _CACHED = 64  # frame times
 _FLOOR = 1e-9  # of what other classes get together
 _LEVEL_WIDTH = 0.15  # of log odds, over which a level becomes the next: a look between them is not two looks by turns
 _ALONE = 0.02  # how often a camera errs by itself while another one does not
+_SECOND_MOST = 0.95  # of P(the truth comes second | wrong): the road is no validation set
 _DISSENT = 0.5  # power of what the confidence of a camera that dissents is worth, as it counts in each set anew
 
 
@@ -50,6 +51,8 @@ class AppearanceFilter:
         looks_if_level: (L, k, K) the same, given how surely it is seen.
         error_duration_s: How long an appearance lasts; 0 draws it anew for each look.
         first: (c, K) belief at first sight.
+        confusable: (k, k) what comes second, where the detector is right: `[i, j]` as often as i is taken for j.
+        second_if_wrong: P(the true class comes second | another one leads); 0 lets it say nothing.
     """
 
     chain: HiddenChain
@@ -57,6 +60,8 @@ class AppearanceFilter:
     looks_if_level: FloatArray
     error_duration_s: float
     first: FloatArray
+    confusable: FloatArray
+    second_if_wrong: float
     _ones: FloatArray
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
@@ -81,7 +86,11 @@ class AppearanceFilter:
         # Rows of ones sum over appearances faster than a reduction along the middle axis.
         ones = np.zeros((certainty.levels, len(looks)))
         ones[:, :-1] = np.kron(np.eye(certainty.levels), np.ones(k))
-        return cls(chain, looks, if_level, error_duration_s, looks * chain.initial, ones)
+        errors = params.observation * ~right
+        total = errors.sum(axis=1, keepdims=True)
+        confusable = np.divide(errors, total, out=np.full_like(errors, 1 / max(k - 1, 1)), where=total > 0)
+        second = min(certainty.second_if_wrong, _SECOND_MOST)
+        return cls(chain, looks, if_level, error_duration_s, looks * chain.initial, confusable, second, ones)
 
     def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
         """Let time pass.
@@ -113,21 +122,45 @@ class AppearanceFilter:
         rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
         return rho, np.concatenate([change, rho * (change - stay).clip(min=0)], axis=1), rho * stay
 
+    def seconds(self, class_probs: FloatArray) -> tuple[FloatArray, IntArray]:
+        """What the class says that comes second: after an error it is mostly the truth.
+
+        Args:
+            class_probs: (m, k) of the type's classes.
+
+        Returns:
+            (m, c, K) factors of the likelihood, one for all appearances but those of the leading class; and (m,) a
+            number for each pair of leading and second class. As long as it stays the same, it says nothing new.
+        """
+        m, k = class_probs.shape
+        every, lead = np.arange(m), class_probs.argmax(axis=1)
+        shares = class_probs**_SHARPNESS
+        shares[every, lead] = 0.0
+        total = shares.sum(axis=1, keepdims=True)
+        shares = np.divide(shares, total, out=np.full_like(shares, 1 / max(k - 1, 1)), where=total > 0)
+        by_class = self.second_if_wrong * shares + (1 - self.second_if_wrong) * (1 - shares) / max(k - 2, 1)
+        by_class[every, lead] = (shares * self.confusable[lead]).sum(axis=1)
+        factors = np.ones((m, *self.first.shape))
+        for level in range(self.looks_if_level.shape[0]):
+            factors[every, level * k + lead] = by_class.take(self.chain.class_of, axis=1)
+        return factors, lead * k + shares.argmax(axis=1)
+
     def update(self, beliefs: FloatArray, likelihood: FloatArray) -> FloatArray:
         """Take in what cameras saw at one instant.
 
         Args:
             beliefs: (n, c, K).
-            likelihood: (n, c) of each appearance, the product over cameras; ones say nothing.
+            likelihood: (n, c) of each appearance, or (n, c, K) given the state, the product over cameras; ones say
+                nothing.
 
         Returns:
             (n, c, K). Where the model calls a look impossible, it is believed as at first sight.
         """
-        posterior = beliefs * likelihood[:, :, None]
+        posterior = beliefs * _of_states(likelihood)
         mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
         if np.count_nonzero(mass) < len(mass):
             lost = mass == 0
-            posterior[lost] = self.first * likelihood[lost][:, :, None]
+            posterior[lost] = self.first * _of_states(likelihood[lost])
             mass = posterior.sum(axis=(1, 2))
             posterior[mass == 0] = self.first
             mass = posterior.sum(axis=(1, 2))
@@ -145,11 +178,11 @@ class AppearanceFilter:
 
         Args:
             beliefs: (n, c, K); within a group the sums over appearances are equal.
-            likelihood: (n, c).
+            likelihood: (n, c) or (n, c, K).
             groups: (g, n) 1 where a light belongs to a group; each to exactly one.
         """
         before = self.states(beliefs)
-        posterior = beliefs * likelihood[:, :, None]
+        posterior = beliefs * _of_states(likelihood)
         after = self.states(posterior)
         with np.errstate(divide="ignore", invalid="ignore"):
             evidence = np.log(np.where(before > 0, after / before, 1.0))
@@ -264,6 +297,11 @@ def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:
     slip = np.full((len(said), 1), _SLIP)
     count, k = said.shape
     return np.concatenate([(levels * said[:, None, :]).reshape(count, levels.shape[1] * k), slip], axis=1)
+
+
+def _of_states(likelihood: FloatArray) -> FloatArray:
+    """(n, c, 1) or (n, c, K)."""
+    return likelihood if likelihood.ndim == 3 else likelihood[:, :, None]
 
 
 def _levels(reached: FloatArray) -> FloatArray:

@@ -129,6 +129,8 @@ class TimedStates:
         self._looked = np.empty(0, dtype=bool)
         self._alive = np.empty(0, dtype=bool)
         self._surely_seen = np.empty((0, widest))  # how surely a camera saw each class in this set
+        self._class_count = len(signals.classes)
+        self._pairs: IntArray = np.empty(0, dtype=np.int64)  # which two classes led in this set, −1 for none
         self._said: IntArray = np.empty(0, dtype=np.int64)  # outcome that was reported last, −1 for none
         self._blocks = [self._fresh(t, np.empty(0, dtype=np.int64)) for t in range(len(self._models))]
         self._now_ms: int | None = None
@@ -142,6 +144,7 @@ class TimedStates:
         self._alive = np.concatenate([self._alive, np.zeros(len(types), dtype=bool)])
         self._surely_seen = np.pad(self._surely_seen, ((0, len(types)), (0, 0)))
         self._said = np.concatenate([self._said, np.full(len(types), -1)])
+        self._pairs = np.concatenate([self._pairs, np.full(len(types), -1)])
         self._disputes.append(len(types))
         for t in np.unique(types):
             self._blocks[t] = _join(self._blocks[t], self._fresh(t, rows[types == t]))
@@ -152,6 +155,7 @@ class TimedStates:
         place[rows] = np.arange(len(rows))
         self._types, self._groups, self._looked = self._types[rows], self._groups[rows], self._looked[rows]
         self._alive, self._said, self._surely_seen = self._alive[rows], self._said[rows], self._surely_seen[rows]
+        self._pairs = self._pairs[rows]
         self._disputes.keep(rows)
         for t, block in enumerate(self._blocks):
             kept = place[block.rows] >= 0
@@ -178,7 +182,7 @@ class TimedStates:
         for column in (block.own, block.joined, *(() if block.shared is None else (block.shared,))):
             column[to] = column[origin]
         block.settled()
-        for column in (self._groups, self._looked, self._said):
+        for column in (self._groups, self._looked, self._said, self._pairs):
             column[row] = column[source]
         self._disputes.take_over(row, source)
 
@@ -203,14 +207,14 @@ class TimedStates:
         n, k, levels = len(self._types), self._reader.columns.shape[1], self._reader.levels
         said, reached = np.ones((n, k)), np.zeros((n, levels - 1, k))
         looked = self._looked = np.zeros(n, dtype=bool)
+        surest = np.zeros((n, self._class_count))
         seen = [look for look in looks if len(look.rows)]
         if seen:
             # All cameras are read at once: each call costs more than its numbers.
             rows = np.concatenate([look.rows for look in seen])
             several = np.bincount(rows, minlength=n)[rows] > 1
-            all_said, all_reached, alone = self._reader.read(
-                np.concatenate([look.class_probs for look in seen]), self._types[rows]
-            )
+            class_probs = np.concatenate([look.class_probs for look in seen])
+            all_said, all_reached, alone = self._reader.read(class_probs, self._types[rows])
             all_said[several] += alone[several, None]
             start = 0
             for look in seen:
@@ -219,14 +223,24 @@ class TimedStates:
                 reached[look.rows] = np.maximum(reached[look.rows], all_reached[here])
                 start = here.stop
             looked[rows] = True
+            by_confidence = class_probs.max(axis=1).argsort(kind="stable")
+            surest[rows[by_confidence]] = class_probs[by_confidence]
         self._surely_seen = reached[:, -1] if levels > 1 else np.zeros((n, k))
         likelihood = np.where(looked[:, None], seen_likelihood(said, reached), 1.0)
         for look in looks:
             if len(look.missed):
                 likelihood[look.missed[~looked[look.missed]]] = self._missed
-        for block, model in zip(self._blocks, self._models, strict=True):
+        before, self._pairs = self._pairs, np.full(n, -1)
+        for block, model, columns in zip(self._blocks, self._models, self._reader.columns, strict=True):
             if len(block.rows):
                 own_likelihood = likelihood.take(block.rows, axis=0).take(model.appearances, axis=1)
+                if model.filter.second_if_wrong and looked[block.rows].any():
+                    own = surest.take(block.rows, axis=0).take(columns[: len(model.states)], axis=1)
+                    factors, pairs = model.filter.seconds(own)
+                    pairs = self._pairs[block.rows] = np.where(looked[block.rows], pairs, -1)
+                    new = (pairs >= 0) & (pairs != before[block.rows])
+                    if new.any():
+                        own_likelihood = own_likelihood[:, :, None] * np.where(new[:, None, None], factors, 1.0)
                 block.own = model.filter.update(block.own, own_likelihood)
                 if block.shared is not None:
                     block.shared = model.filter.update_together(block.shared, own_likelihood, block.members)
@@ -337,6 +351,7 @@ class TimedStates:
             "groups": self._groups.tolist(),
             "disputes": self._disputes.to_json(),
             "said": self._said.tolist(),
+            "pairs": self._pairs.tolist(),
             "blocks": [
                 {
                     "rows": block.rows.tolist(),
@@ -358,6 +373,7 @@ class TimedStates:
         self._types, self._groups = types, np.array(values["groups"], dtype=np.int64)
         self._looked, self._alive = np.zeros((2, len(types)), dtype=bool)
         self._said = np.array(values["said"], dtype=np.int64)
+        self._pairs = np.array(values["pairs"], dtype=np.int64)
         self._surely_seen = np.zeros((len(types), self._reader.columns.shape[1]))
         self._disputes.restore(values["disputes"])
         blocks = []

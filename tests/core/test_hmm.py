@@ -94,7 +94,7 @@ def test_missing_file(tmp_path):
 def test_the_two_levels_of_older_bundles_are_read() -> None:
     old = {"threshold": 0.9, "sure_if_right": 0.75, "sure_if_wrong": 0.25}
     assert Certainty.from_json(old) == Certainty((0.9,), (0.25, 0.75), (0.75, 0.25))
-    three = Certainty((0.5, 0.9), (0.1, 0.2, 0.7), (0.6, 0.3, 0.1))
+    three = Certainty((0.5, 0.9), (0.1, 0.2, 0.7), (0.6, 0.3, 0.1), 0.8)
     assert Certainty.from_json(three.to_json()) == three
 
 

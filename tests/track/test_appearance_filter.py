@@ -202,6 +202,30 @@ def test_a_light_seen_clearly_has_not_changed_because_the_view_became_poor(hmm: 
     assert odds[0] > 2 * odds[1]
 
 
+def test_after_an_error_the_truth_comes_second(hmm: Hmm) -> None:
+    params = replace(hmm["4"], certainty=Certainty(second_if_wrong=0.9))
+    own, k = make_filter(params), len(params.states)
+    lead, second = (params.states.index(name) for name in ("4-rleft", "4-yleft1"))
+    vector = np.full((1, k), 1e-6)
+    vector[0, lead], vector[0, second] = 0.7, 0.2
+    (factors,), _ = own.seconds(vector)
+    of_class = {int(c): factors[lead, own.chain.class_of == c] for c in range(k)}
+    errors = params.observation[lead] * (np.arange(k) != lead)
+    for c, factor in of_class.items():
+        expected = 0.9 if c == second else errors[second] / errors.sum() if c == lead else 0.1 / (k - 2)
+        np.testing.assert_allclose(factor, expected, rtol=1e-6)
+    np.testing.assert_array_equal(np.delete(factors, lead, axis=0), 1.0)
+
+
+def test_a_class_that_only_noise_puts_second_says_nothing_of_the_others(hmm: Hmm) -> None:
+    params = replace(hmm["4"], certainty=Certainty(second_if_wrong=0.9))
+    own, k = make_filter(params), len(params.states)
+    vector = np.full((1, k), 0.02)
+    vector[0, 0] = 0.9
+    (factors,), _ = own.seconds(vector)
+    np.testing.assert_allclose(factors[0], 1 / (k - 1))
+
+
 def test_types_must_tell_equally_many_levels_apart(hmm: Hmm) -> None:
     other = replace(hmm["3"], certainty=Certainty((0.8,), (0.2, 0.8), (0.95, 0.05)))
     with pytest.raises(UsageError, match=r"equally many levels of certainty apart, got \[1, 2\]"):

@@ -41,6 +41,7 @@ def seen_double(pipeline: LightPipeline, track_id: int, new_id: int, offset_m: n
     states = tracks["states"]
     states["groups"].append(-1)
     states["said"].append(-1)
+    states["pairs"].append(-1)
     for values in states["disputes"].values():
         values.append(-1 if values and not isinstance(values[0], bool) else False)
     block = next(block for block in states["blocks"] if row in block["rows"])
@@ -112,7 +113,8 @@ def test_the_older_id_stays_though_the_map_knows_the_younger(make_scene: Callabl
     saved["map_ids"] = [None, *saved["map_ids"]]
     saved["index"] = {"rows": [0, 2], "positions": [table.positions[0].tolist(), *saved["index"]["positions"]]}
     states = saved["states"]
-    states["groups"], states["said"] = [-1, *states["groups"]], [-1, *states["said"]]
+    for name in ("groups", "said", "pairs"):
+        states[name] = [-1, *states[name]]
     states["disputes"] = {name: [column[0], *column] for name, column in states["disputes"].items()}
     for block in states["blocks"]:
         block["rows"] = [row + 1 for row in block["rows"]]

@@ -4,6 +4,7 @@ References:
     Guo et al. 2017, On calibration of modern neural networks (temperature scaling, expected calibration error).
 """
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -48,7 +49,7 @@ def fit_calibration(class_probs: FloatArray, truth_ids: IntArray) -> Calibration
     right = np.argmax(class_probs, axis=1) == truth_ids
     return Calibration(
         temperature=round(temperature, 4),
-        certainty=_certainty(after.max(axis=1), right),
+        certainty=replace(_certainty(after.max(axis=1), right), second_if_wrong=_second(class_probs, truth_ids, right)),
         matched=len(truth_ids),
         wrong=int((~right).sum()),
         nll=(_mean_nll(before, truth_ids), _mean_nll(after, truth_ids)),
@@ -98,6 +99,13 @@ def _certainty(confidence: FloatArray, right: BoolArray) -> Certainty:
             thresholds = tuple(round(float(_THRESHOLDS[i]), 4) for i in chosen)
             best, found = information, Certainty(thresholds, _rounded(if_right), _rounded(if_wrong))
     return found
+
+
+def _second(class_probs: FloatArray, truth_ids: IntArray, right: BoolArray) -> float:
+    """How often the true class comes second where another one leads, counted with one more of each kind."""
+    beaten = class_probs[~right]
+    hits = ((beaten > beaten[np.arange(len(beaten)), truth_ids[~right], None]).sum(axis=1) == 1).sum()
+    return round(float((hits + 1) / (len(beaten) + 2)), 5)
 
 
 def _rounded(probs: FloatArray) -> tuple[float, ...]:

@@ -47,6 +47,7 @@ def test_being_sure_is_worth_what_was_counted() -> None:
     assert fitted is not None
     assert fitted.certainty.if_right[-1] == pytest.approx(0.8, abs=0.02)
     assert fitted.certainty.if_wrong[-1] == pytest.approx(0.1, abs=0.03)
+    assert fitted.certainty.second_if_wrong > 0.99, "the truth came second each time"
 
 
 def test_expected_error_by_hand() -> None:
