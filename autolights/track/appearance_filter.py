@@ -122,15 +122,21 @@ class AppearanceFilter:
         rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
         return rho, np.concatenate([change, rho * (change - stay).clip(min=0)], axis=1), rho * stay
 
-    def seconds(self, class_probs: FloatArray) -> tuple[FloatArray, IntArray]:
+    def pairs(self, class_probs: FloatArray) -> IntArray:
+        """(m,) a number for the leading and the second of (m, k) classes; while it stays, they say nothing new."""
+        every, lead = np.arange(len(class_probs)), class_probs.argmax(axis=1)
+        rest = class_probs.copy()
+        rest[every, lead] = -1.0
+        return np.asarray(lead * class_probs.shape[1] + rest.argmax(axis=1))
+
+    def seconds(self, class_probs: FloatArray) -> FloatArray:
         """What the class says that comes second: after an error it is mostly the truth.
 
         Args:
             class_probs: (m, k) of the type's classes.
 
         Returns:
-            (m, c, K) factors of the likelihood, one for all appearances but those of the leading class; and (m,) a
-            number for each pair of leading and second class. As long as it stays the same, it says nothing new.
+            (m, c, K) factors of the likelihood, one for all appearances but those of the leading class.
         """
         m, k = class_probs.shape
         every, lead = np.arange(m), class_probs.argmax(axis=1)
@@ -143,24 +149,28 @@ class AppearanceFilter:
         factors = np.ones((m, *self.first.shape))
         for level in range(self.looks_if_level.shape[0]):
             factors[every, level * k + lead] = by_class.take(self.chain.class_of, axis=1)
-        return factors, lead * k + shares.argmax(axis=1)
+        return factors
 
-    def update(self, beliefs: FloatArray, likelihood: FloatArray) -> FloatArray:
+    def update(
+        self, beliefs: FloatArray, likelihood: FloatArray, factors: tuple[IntArray, FloatArray] | None = None
+    ) -> FloatArray:
         """Take in what cameras saw at one instant.
 
         Args:
             beliefs: (n, c, K).
-            likelihood: (n, c) of each appearance, or (n, c, K) given the state, the product over cameras; ones say
-                nothing.
+            likelihood: (n, c) of each appearance, the product over cameras; ones say nothing.
+            factors: Lights whose second class says something new, and (…, c, K) what (`seconds`).
 
         Returns:
             (n, c, K). Where the model calls a look impossible, it is believed as at first sight.
         """
-        posterior = beliefs * _of_states(likelihood)
+        posterior = beliefs * likelihood[:, :, None]
+        if factors is not None:
+            posterior[factors[0]] *= factors[1]
         mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
         if np.count_nonzero(mass) < len(mass):
             lost = mass == 0
-            posterior[lost] = self.first * _of_states(likelihood[lost])
+            posterior[lost] = self.first * likelihood[lost][:, :, None]
             mass = posterior.sum(axis=(1, 2))
             posterior[mass == 0] = self.first
             mass = posterior.sum(axis=(1, 2))
@@ -171,18 +181,27 @@ class AppearanceFilter:
         """(n, K) belief in each hidden state, whatever it looks like."""
         return np.asarray(np.ones(beliefs.shape[1]) @ beliefs)
 
-    def update_together(self, beliefs: FloatArray, likelihood: FloatArray, groups: FloatArray) -> FloatArray:
+    def update_together(
+        self,
+        beliefs: FloatArray,
+        likelihood: FloatArray,
+        groups: FloatArray,
+        factors: tuple[IntArray, FloatArray] | None = None,
+    ) -> FloatArray:
         """`update` for lights of which some show the same state: what is seen of one is evidence for all of its group.
 
         Appearances are each light's own and, given the state, taken as independent.
 
         Args:
             beliefs: (n, c, K); within a group the sums over appearances are equal.
-            likelihood: (n, c) or (n, c, K).
+            likelihood: (n, c).
             groups: (g, n) 1 where a light belongs to a group; each to exactly one.
+            factors: As in `update`.
         """
         before = self.states(beliefs)
-        posterior = beliefs * _of_states(likelihood)
+        posterior = beliefs * likelihood[:, :, None]
+        if factors is not None:
+            posterior[factors[0]] *= factors[1]
         after = self.states(posterior)
         with np.errstate(divide="ignore", invalid="ignore"):
             evidence = np.log(np.where(before > 0, after / before, 1.0))
@@ -297,11 +316,6 @@ def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:
     slip = np.full((len(said), 1), _SLIP)
     count, k = said.shape
     return np.concatenate([(levels * said[:, None, :]).reshape(count, levels.shape[1] * k), slip], axis=1)
-
-
-def _of_states(likelihood: FloatArray) -> FloatArray:
-    """(n, c, 1) or (n, c, K)."""
-    return likelihood if likelihood.ndim == 3 else likelihood[:, :, None]
 
 
 def _levels(reached: FloatArray) -> FloatArray:

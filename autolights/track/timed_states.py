@@ -234,16 +234,17 @@ class TimedStates:
         for block, model, columns in zip(self._blocks, self._models, self._reader.columns, strict=True):
             if len(block.rows):
                 own_likelihood = likelihood.take(block.rows, axis=0).take(model.appearances, axis=1)
-                if model.filter.second_if_wrong and looked[block.rows].any():
-                    own = surest.take(block.rows, axis=0).take(columns[: len(model.states)], axis=1)
-                    factors, pairs = model.filter.seconds(own)
-                    pairs = self._pairs[block.rows] = np.where(looked[block.rows], pairs, -1)
-                    new = (pairs >= 0) & (pairs != before[block.rows])
-                    if new.any():
-                        own_likelihood = own_likelihood[:, :, None] * np.where(new[:, None, None], factors, 1.0)
-                block.own = model.filter.update(block.own, own_likelihood)
+                factors = None
+                if model.filter.second_if_wrong:
+                    leading = surest.take(block.rows, axis=0).take(columns[: len(model.states)], axis=1)
+                    pairs = np.where(looked[block.rows], model.filter.pairs(leading), -1)
+                    new = ((pairs >= 0) & (pairs != before[block.rows])).nonzero()[0]
+                    self._pairs[block.rows] = pairs
+                    if len(new):
+                        factors = new, model.filter.seconds(leading[new])
+                block.own = model.filter.update(block.own, own_likelihood, factors)
                 if block.shared is not None:
-                    block.shared = model.filter.update_together(block.shared, own_likelihood, block.members)
+                    block.shared = model.filter.update_together(block.shared, own_likelihood, block.members, factors)
 
     def end_set(self, alive: BoolArray) -> None:
         """Say which tracks are alive; only these share evidence."""
