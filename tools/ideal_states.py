@@ -108,7 +108,7 @@ def runtime(road: Road, config: TrackConfig) -> Said:
             heights = np.full(int(telling.sum()), _HEIGHT_PX)
             looks.append(Looks(rows[telling], class_probs[telling], heights, np.empty(0, dtype=np.int64)))
         states.take_in(looks)
-        states.end_set(np.ones(count, dtype=bool))
+        states.end_set(np.ones(count, dtype=bool), np.zeros(count, dtype=bool))
         reports = states.report()
         class_ids[number] = np.where(reports.doubtful, -1, reports.class_ids)
         flashing[number] = reports.flashing

@@ -30,6 +30,7 @@ import numpy as np
 from autolights.core import FloatArray, HmmParameters, IntArray
 from autolights.core.errors import UsageError
 from autolights.track.hidden_chain import HiddenChain
+from autolights.track.signal_groups import Partners
 
 _SLIP = 1e-3  # how often one look shows something else than the appearance, within the same instant
 _SHARPNESS = 4.0  # power of a class vector: an appearance is what the detector says most, and a tie is one
@@ -185,7 +186,7 @@ class AppearanceFilter:
         self,
         beliefs: FloatArray,
         likelihood: FloatArray,
-        groups: FloatArray,
+        partners: Partners,
         factors: tuple[IntArray, FloatArray] | None = None,
     ) -> FloatArray:
         """`update` for lights of which some show the same state: what is seen of one is evidence for all of its group.
@@ -195,7 +196,7 @@ class AppearanceFilter:
         Args:
             beliefs: (n, c, K); within a group the sums over appearances are equal.
             likelihood: (n, c).
-            groups: (g, n) 1 where a light belongs to a group; each to exactly one.
+            partners: Which lights form a group.
             factors: As in `update`.
         """
         before = self.states(beliefs)
@@ -205,7 +206,7 @@ class AppearanceFilter:
         after = self.states(posterior)
         with np.errstate(divide="ignore", invalid="ignore"):
             evidence = np.log(np.where(before > 0, after / before, 1.0))
-            state = np.log(before) + groups.T @ (groups @ evidence)
+            state = np.log(before) + partners.total(evidence)
             best = state.max(axis=1, keepdims=True)
             state = np.exp(state - np.where(np.isfinite(best), best, 0.0))
             total = state.sum(axis=1, keepdims=True)
@@ -213,7 +214,7 @@ class AppearanceFilter:
         posterior *= factor[:, None, :]
         lost = ~(np.abs(posterior.sum(axis=(1, 2)) - 1) < 1e-6)
         if lost.any():
-            posterior[groups.T @ (groups @ lost) > 0] = self.first
+            posterior[partners.total(lost[:, None].astype(np.float64))[:, 0] > 0] = self.first
         return np.asarray(posterior)
 
 

@@ -17,6 +17,8 @@ class TrackConfig(Config):
         death_sets: Mode ``paper``: a light that was missed in more sets than this is no longer reported (N_death = 15).
         max_coast_s: Mode ``timed``: a light that was looked for in vain for longer than this loses its state, and no
             state older than this is acted upon. In both modes a light out of sight is reported no longer than this.
+        state_memory_s: Mode ``timed``: what is believed of a light that was not seen for longer than this is forgotten,
+            and it is born anew when it comes into sight again: its phase is over by then.
         error_duration_s: Mode ``timed``: glare or a passing wire spoils a detector's answers for about this long, and
             until then its saying the same again is hardly news; 0 takes all looks as independent, as the paper does.
         dwell_stages: Mode ``timed``: a least duration (`SignalState.min_s`, the phases of a flash) is passed in so many
@@ -40,6 +42,7 @@ class TrackConfig(Config):
     birth_hits: int = Field(default=2, ge=1)
     death_sets: int = Field(default=15, ge=0)
     max_coast_s: float = Field(default=2.0, gt=0)
+    state_memory_s: float = Field(default=10.0, gt=0)
     error_duration_s: float = Field(default=0.4, ge=0)
     dwell_stages: int = Field(default=8, ge=1, le=32)
     odd_changes_per_hour: float = Field(default=1.0, gt=0)

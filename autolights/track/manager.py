@@ -71,7 +71,8 @@ class TrackManager:
         self._config = config
         self._type_names = list(signals.types)
         self._class_types = np.array([self._type_names.index(signals.type_of[name]) for name in signals.classes])
-        self._heights_m = np.array([signals.types[name].height_m for name in self._type_names])
+        self._sizes_m = signals.sizes_m(self._type_names)
+        self._heights_m = self._sizes_m[:, 1]
         self._map_types = np.array([self._type_names.index(name) for name in lights.types], dtype=np.int64)
         self._map_groups = group_numbers(lights)
         self._reporter = Reporter(lights, signals, config)
@@ -121,6 +122,7 @@ class TrackManager:
         elapsed_ns = 0 if self._last_set_ns is None else stamp_ns - self._last_set_ns
         self._last_set_ns = stamp_ns
         self._views = {}
+        self._table.let_go(stamp_ns, self._config)
         self._states.let_time_pass(stamp_ns)
         self._touched = np.zeros(len(self._table), dtype=bool)
         seen: list[_Seen] = []
@@ -412,7 +414,7 @@ class TrackManager:
             detected[sight.rows] = True
         expected[list(self._views)] = True
         self._table.end_set(detected, expected, set_ns, elapsed_ns, self._config)
-        self._states.end_set(self._table.alive)
+        self._states.end_set(self._table.alive, self._table.starts_anew)
 
     def _forget(self, set_ns: int) -> None:
         """Drop false alarms and the longest unseen; place what is left of the unmapped lights anew."""
@@ -460,5 +462,5 @@ class TrackManager:
             types=(ANY_TYPE,) * len(rows),
             positions=table.positions[rows] if positions is None else positions,
             headings_deg=table.headings_deg[rows],
-            sizes_m=self._signals.sizes_m(self._type_names[t] for t in self._unmapped_types),
+            sizes_m=self._sizes_m.take(self._unmapped_types, axis=0),
         )

@@ -194,8 +194,8 @@ class PaperStates:
         while len(history) > self._config.history_size and history[0].set_ns < oldest_ns:
             history.popleft()
 
-    def end_set(self, alive: BoolArray) -> None:
-        """Forget what was seen of the dead."""
+    def end_set(self, alive: BoolArray, over: BoolArray) -> None:
+        """Forget what was seen of the dead; a belief is small enough to stay until it starts anew."""
         for row in np.flatnonzero(~alive):
             if self._histories[row] and self._histories[row][-1].set_ns != self._now_ns:
                 self._histories[row].clear()

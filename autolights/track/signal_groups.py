@@ -1,6 +1,7 @@
 """Lights that show the same phase: they share evidence, unless what is seen of them says that they do not."""
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -57,6 +58,32 @@ def share(
             with np.errstate(divide="ignore", invalid="ignore"):
                 fresh[slot] = own[slot] * np.where(marginal > 0, state / marginal, 0.0)
     return fresh
+
+
+@dataclass(frozen=True, eq=False)
+class Partners:
+    """Which of n lights share evidence.
+
+    Attributes:
+        codes: (n,) number of each light's group, 0 to g − 1; a light that shares with nobody has one of its own.
+        order: (n,) lights by group.
+        starts: (g,) where each group begins in `order`.
+    """
+
+    codes: IntArray
+    order: IntArray
+    starts: IntArray
+
+    @classmethod
+    def of(cls, joined: IntArray) -> Self:
+        """From (n,) numbers of groups, negative for none."""
+        keys = np.where(joined < 0, -1 - np.arange(len(joined)), joined)
+        _, codes, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        return cls(codes, np.argsort(codes, kind="stable"), np.cumsum(counts) - counts)
+
+    def total(self, values: FloatArray) -> FloatArray:
+        """(n, k) sums of (n, k) values over each light's group."""
+        return np.asarray(np.add.reduceat(values.take(self.order, axis=0), self.starts).take(self.codes, axis=0))
 
 
 class GroupDisputes:

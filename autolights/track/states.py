@@ -72,8 +72,8 @@ class LightStates(Protocol):
     def take_in(self, looks: Sequence[Looks]) -> None:
         """Update by a set of frames, one entry for each camera."""
 
-    def end_set(self, alive: BoolArray) -> None:
-        """Say which tracks are alive; the dead ones know nothing of each other, nor of their past."""
+    def end_set(self, alive: BoolArray, over: BoolArray) -> None:
+        """Say which tracks are alive, as the dead share nothing, and whose past is over: they will start anew."""
 
     def report(self) -> Reports:
         """What is said of each track."""

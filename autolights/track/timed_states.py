@@ -11,7 +11,7 @@ from autolights.track.appearance_filter import AppearanceFilter, LookReader, mis
 from autolights.track.config import TrackConfig
 from autolights.track.hidden_chain import HiddenChain
 from autolights.track.outcomes import Outcomes, choose
-from autolights.track.signal_groups import GroupDisputes, share
+from autolights.track.signal_groups import GroupDisputes, Partners, share
 from autolights.track.states import Looks, Reports
 
 _MISSED = "missed"
@@ -56,21 +56,26 @@ class _Model:
 
 @dataclass(eq=False)
 class _Block:
-    """All tracks of one type.
+    """The tracks of one type of which something is remembered.
 
     Attributes:
         rows: (n,) of the track table, ascending.
         own: (n, c, K) beliefs from what was seen of each light itself.
         shared: (n, c, K) beliefs from what was seen of its group as well; None while no two lights share evidence.
         joined: (n,) group with which a light shares evidence; negative for none.
-        members: (g, n) 1 where a light belongs to a group of evidence, which may be its own alone.
+        partners: The same, settled.
     """
 
     rows: IntArray
     own: FloatArray
     shared: FloatArray | None
     joined: IntArray
-    members: FloatArray
+    partners: Partners
+
+    @classmethod
+    def of(cls, rows: IntArray, own: FloatArray, shared: FloatArray | None, joined: IntArray) -> Self:
+        """A block whose lights share as `joined` says."""
+        return cls(rows, own, None if (joined < 0).all() else shared, joined, Partners.of(joined))
 
     @property
     def told(self) -> FloatArray:
@@ -80,17 +85,7 @@ class _Block:
     def take(self, slots: IntArray | BoolArray) -> "_Block":
         """These lights alone; who shares with whom is settled anew."""
         shared = None if self.shared is None else self.shared[slots]
-        return _Block(self.rows[slots], self.own[slots], shared, self.joined[slots], np.empty((0, 0))).settled()
-
-    def settled(self) -> "_Block":
-        """With `members` made from `joined`."""
-        alone = self.joined < 0
-        keys = np.where(alone, -1 - np.arange(len(self.joined)), self.joined)
-        _, codes = np.unique(keys, return_inverse=True)
-        self.members = np.eye(int(codes.max(initial=-1)) + 1)[codes].T if len(codes) else np.empty((0, 0))
-        if alone.all():
-            self.shared = None
-        return self
+        return _Block.of(self.rows[slots], self.own[slots], shared, self.joined[slots])
 
 
 class TimedStates:
@@ -121,6 +116,7 @@ class TimedStates:
             self._change_odds[t, :g, :g] = np.where(said_again | own.stops_flashing, 1.0, config.change_odds)
             self._said_class_ids[t, :g] = [signals.class_ids[name.class_name] for name in own.names]
             self._said_flashing[t, :g] = [name.flashing for name in own.names]
+        self._unseen = self._first_reports()
         self._reader = LookReader.of([hmm[name] for name in signals.types], signals.class_ids)
         self._missed = miss_likelihood(widest, self._reader.levels)
         self._types: IntArray = np.empty(0, dtype=np.int64)
@@ -177,12 +173,15 @@ class TimedStates:
 
     def take_over(self, row: int, source: int) -> None:
         """Two tracks of one type are one light: the first gets what is believed of the second, its group too."""
-        block = self._blocks[int(self._types[row])]
-        to, origin = np.searchsorted(block.rows, (row, source)).tolist()
-        for column in (block.own, block.joined, *(() if block.shared is None else (block.shared,))):
-            column[to] = column[origin]
-        block.settled()
-        for column in (self._groups, self._looked, self._said, self._pairs):
+        t = int(self._types[row])
+        block = self._blocks[t]
+        self._groups[row] = self._groups[source]
+        if source not in block.rows:  # nothing is remembered of it
+            return
+        kept = block.take(block.rows != row)
+        kept.rows[kept.rows == source] = row
+        self._blocks[t] = kept.take(np.argsort(kept.rows))
+        for column in (self._looked, self._said, self._pairs):
             column[row] = column[source]
         self._disputes.take_over(row, source)
 
@@ -244,15 +243,19 @@ class TimedStates:
                         factors = new, model.filter.seconds(leading[new])
                 block.own = model.filter.update(block.own, own_likelihood, factors)
                 if block.shared is not None:
-                    block.shared = model.filter.update_together(block.shared, own_likelihood, block.members, factors)
+                    block.shared = model.filter.update_together(block.shared, own_likelihood, block.partners, factors)
 
-    def end_set(self, alive: BoolArray) -> None:
-        """Say which tracks are alive; only these share evidence."""
+    def end_set(self, alive: BoolArray, over: BoolArray) -> None:
+        """Say which tracks are alive: only these share evidence. Those whose past is over take no room from now on."""
         self._alive = alive
+        for t, block in enumerate(self._blocks):
+            gone = over[block.rows]
+            if np.count_nonzero(gone):
+                self._blocks[t] = block.take(~gone)
         if not self._config.share_groups or not np.count_nonzero(self._groups >= 0):
             return
         now_ms = self._now_ms or 0
-        for block, model in zip(self._blocks, self._models, strict=True):
+        for t, (block, model) in enumerate(zip(self._blocks, self._models, strict=True)):
             groups = self._groups[block.rows]
             if not (groups >= 0).any():
                 continue
@@ -263,50 +266,53 @@ class TimedStates:
             numbers, counts = np.unique(joined, return_counts=True)
             joined[~np.isin(joined, numbers[counts > 1])] = -1
             if not np.array_equal(joined, block.joined):
-                block.shared = share(block.own, block.shared, block.joined, joined, model.filter.chain.initial)
-                block.joined = joined
-                block.settled()
+                shared = share(block.own, block.shared, block.joined, joined, model.filter.chain.initial)
+                self._blocks[t] = _Block.of(block.rows, block.own, shared, joined)
 
     def report(self) -> Reports:
-        """What is said of each track."""
-        n, types = len(self._types), self._types
-        mass, shares = np.zeros((n, self._contradiction.shape[1])), np.zeros(n, dtype=bool)
+        """What is said of each track; of those of which nothing is remembered, what is likely before any look."""
+        rows = np.concatenate([block.rows for block in self._blocks])
+        types, said = self._types.take(rows), self._said.take(rows)
+        mass = np.zeros((len(rows), self._contradiction.shape[1]))
         denied = np.zeros(mass.shape, dtype=bool)
+        start = 0
         for block, model in zip(self._blocks, self._models, strict=True):
             if len(block.rows):
-                states = model.filter.states(block.told)
-                mass[block.rows, : len(model.outcomes.names)] = states @ model.outcomes.membership
+                here, names = slice(start, start + len(block.rows)), slice(len(model.outcomes.names))
+                mass[here, names] = model.filter.states(block.told) @ model.outcomes.membership
                 denials = self._surely_seen[block.rows][:, : len(model.states)] @ model.outcomes.denied_by
                 # What is surely seen of one light of a group is denied to all of them.
-                denied[block.rows, : len(model.outcomes.names)] = (
-                    block.members.T @ (block.members @ (denials > _SURELY)) > 0
-                )
-                shares[block.rows] = block.joined >= 0
+                denied[here, names] = block.partners.total((denials > _SURELY).astype(np.float64)) > 0
+                start = here.stop
         choice = choose(
             mass,
             self._contradiction[types],
             denied,
-            self._said,
-            self._change_odds[types, self._said],
+            said,
+            self._change_odds[types, said],
             max_go_risk=self._config.max_go_risk,
             min_probability=self._config.min_probability,
         )
-        self._said = np.where(self._alive, np.where(choice.doubtful, self._said, choice.outcome), -1)
-        return Reports(
-            class_ids=self._said_class_ids[types, choice.outcome],
-            flashing=self._said_flashing[types, choice.outcome],
-            probability=choice.probability,
-            doubtful=choice.doubtful,
-            go_held=choice.go_held,
-            shares=shares,
-            disputed=self._disputes.disputed.copy(),
-        )
+        self._said[:] = -1
+        self._said[rows] = np.where(self._alive.take(rows), np.where(choice.doubtful, said, choice.outcome), -1)
+        reports = self._unseen.take(self._types)
+        reports.class_ids[rows] = self._said_class_ids[types, choice.outcome]
+        reports.flashing[rows] = self._said_flashing[types, choice.outcome]
+        reports.probability[rows] = choice.probability
+        reports.doubtful[rows] = choice.doubtful
+        reports.go_held[rows] = choice.go_held
+        reports.shares[rows] = np.concatenate([block.joined for block in self._blocks]) >= 0
+        reports.disputed[:] = self._disputes.disputed
+        return reports
 
     def explain(self, row: int) -> dict[str, Any]:
         """Belief in each class, each outcome, the stage of its phase, and how the detector sees the light."""
         t = int(self._types[row])
         model, block = self._models[t], self._blocks[t]
-        slot = int(np.flatnonzero(block.rows == row)[0])
+        slots = np.flatnonzero(block.rows == row)
+        if not len(slots):
+            return {"belief": None}
+        slot = int(slots[0])
         belief = block.told[slot]
         state, chain = belief.sum(axis=0), model.filter.chain
         told = {
@@ -382,20 +388,35 @@ class TimedStates:
             shape = self._models[t].filter.first.shape
             shared = saved["shared"]
             blocks.append(
-                _Block(
+                _Block.of(
                     np.array(saved["rows"], dtype=np.int64),
                     np.array(saved["own"], dtype=np.float64).reshape(-1, *shape),
                     None if shared is None else np.array(shared, dtype=np.float64).reshape(-1, *shape),
                     np.array(saved["joined"], dtype=np.int64),
-                    np.empty((0, 0)),
-                ).settled()
+                )
             )
         self._blocks = blocks
+
+    def _first_reports(self) -> Reports:
+        """What is said of a light of each type before anybody has looked: it is not to be acted upon."""
+        count = len(self._models)
+        mass = [model.filter.chain.initial @ model.outcomes.membership for model in self._models]
+        likely = np.array([own.argmax() for own in mass])
+        nowhere = np.zeros(count, dtype=bool)
+        return Reports(
+            class_ids=self._said_class_ids[np.arange(count), likely],
+            flashing=self._said_flashing[np.arange(count), likely],
+            probability=np.array([own.max() for own in mass]),
+            doubtful=~nowhere,
+            go_held=nowhere,
+            shares=nowhere,
+            disputed=nowhere,
+        )
 
     def _fresh(self, t: int, rows: IntArray) -> _Block:
         first = self._models[t].filter.first
         own = np.broadcast_to(first, (len(rows), *first.shape)).copy()
-        return _Block(rows, own, None, np.full(len(rows), -1), np.empty((0, 0)))
+        return _Block.of(rows, own, None, np.full(len(rows), -1))
 
 
 def _join(block: _Block, more: _Block) -> _Block:
@@ -403,10 +424,5 @@ def _join(block: _Block, more: _Block) -> _Block:
     rows = np.concatenate([block.rows, more.rows])
     order = np.argsort(rows)
     shared = None if block.shared is None else np.concatenate([block.shared, more.own])[order]
-    return _Block(
-        rows[order],
-        np.concatenate([block.own, more.own])[order],
-        shared,
-        np.concatenate([block.joined, more.joined])[order],
-        np.empty((0, 0)),
-    ).settled()
+    own, joined = np.concatenate([block.own, more.own]), np.concatenate([block.joined, more.joined])
+    return _Block.of(rows[order], own[order], shared, joined[order])

@@ -99,6 +99,12 @@ class TrackTable:
         """(n,) seconds since the last detection."""
         return np.asarray((set_ns - self.last_seen_ns) / 1e9)
 
+    def let_go(self, set_ns: int, config: TrackConfig) -> None:
+        """Let lights die that were out of sight for so long that nothing is known of their states any more."""
+        if config.mode == "timed":
+            gone = set_ns - self.last_seen_ns > config.state_memory_s * 1e9
+            self.alive, self.hits = self.alive & ~gone, np.where(gone, 0, self.hits)
+
     def end_set(
         self, detected: BoolArray, expected: BoolArray, set_ns: int, elapsed_ns: int, config: TrackConfig
     ) -> None:

@@ -15,6 +15,7 @@ from autolights.core.errors import UsageError
 from autolights.track import hmm_predict, hmm_update
 from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
 from autolights.track.hidden_chain import HiddenChain
+from autolights.track.signal_groups import Partners
 
 SIGNALS = load_signals()
 Hmm = dict[str, HmmParameters]
@@ -244,7 +245,9 @@ def test_a_group_of_one_is_a_light_alone(hmm: Hmm) -> None:
     likelihood = np.random.default_rng(0).random((3, len(own.looks)))
     beliefs = own.predict(np.stack([own.first] * 3), 100)
     np.testing.assert_allclose(
-        own.update_together(beliefs, likelihood, np.eye(3)), own.update(beliefs, likelihood), atol=1e-12
+        own.update_together(beliefs, likelihood, Partners.of(np.full(3, -1))),
+        own.update(beliefs, likelihood),
+        atol=1e-12,
     )
 
 
@@ -252,7 +255,7 @@ def test_a_group_is_one_light_seen_several_times_where_errors_do_not_last(hmm: H
     own = make_filter(hmm["3"], error_duration_s=0)
     likelihood = np.random.default_rng(0).random((2, len(own.looks)))
     beliefs = own.predict(np.stack([own.first] * 2), 100)
-    together = own.update_together(beliefs, likelihood, np.ones((1, 2)))
+    together = own.update_together(beliefs, likelihood, Partners.of(np.zeros(2, dtype=np.int64)))
     state = own.predict(own.first[None], 100).sum(axis=1)[0]
     for row in likelihood:
         state = state * (row @ own.looks)

@@ -7,7 +7,7 @@ import pytest
 
 from autolights.core import TrafficLightMap
 from autolights.pipeline import PipelineConfig
-from autolights.track.signal_groups import group_numbers, share
+from autolights.track.signal_groups import Partners, group_numbers, share
 
 TIMES = np.arange(60) / 10
 PLACES = [(40.0, y, 5.0) for y in (2.0, -1.0, 5.0)]
@@ -90,6 +90,14 @@ def test_sharing_can_be_left_out(make_scene: Callable) -> None:
     for t in TIMES[:20]:
         scene.step(pipeline, float(t))
     assert not any(track["group"]["shares"] for track in pipeline.explain()["tracks"])
+
+
+def test_partners_add_up_over_groups_in_any_order() -> None:
+    joined, values = np.array([4, -1, 2, 4, -1, 4]), np.random.default_rng(0).random((6, 3))
+    of_group = {light: [i for i in range(6) if joined[i] == joined[light] >= 0] or [light] for light in range(6)}
+    expected = [values[mates].sum(axis=0) for mates in of_group.values()]
+    np.testing.assert_allclose(Partners.of(joined).total(values), expected)
+    assert Partners.of(joined[:0]).total(values[:0]).shape == (0, 3)
 
 
 def test_a_new_group_believes_what_each_of_its_lights_has_seen() -> None:

@@ -119,14 +119,36 @@ def look_at(manager: TrackManager, scene: object, t: float, places: np.ndarray) 
 
 def test_memory_is_bounded_however_many_lights_pass(make_scene: Callable) -> None:
     scene = make_scene({})
-    manager = TrackManager(scene.map, scene.signals, scene.hmm, TrackConfig(birth_hits=1, max_tracks=20))
+    manager = TrackManager(
+        scene.map, scene.signals, scene.hmm, TrackConfig(birth_hits=1, max_tracks=20, state_memory_s=0.15)
+    )
     rng = np.random.default_rng(0)
     sizes = []
     for i in range(200):
         places = scene.pose(0).position + rng.uniform(20, 60, (3, 3))
         manager.update([look_at(manager, scene, 0.0, places)], round(i * 1e8))
+        states = manager.to_json()["states"]
+        assert sum(len(block["rows"]) for block in states["blocks"]) <= 6, "of this set and the one before"
         sizes.append(len(json.dumps(manager.to_json())))
         assert len(manager) <= 20
         assert len(manager.unmapped) <= 20
     assert max(sizes[100:]) < 1.1 * max(sizes[20:100])
     assert manager._table.ids.min() > 500, "the latest are kept"
+
+
+def test_a_light_out_of_sight_for_long_is_born_anew(make_scene: Callable) -> None:
+    scene = make_scene({"a": ("3", AHEAD, lambda t: "3-red" if t < 5 else "3-green")}, speed_mps=0)
+
+    def reports(pipeline, times):
+        return [scene.step(pipeline, t)[0] if t else scene.step(pipeline, t) for t in times]
+
+    known, forgotten, fresh = (scene.pipeline() for _ in range(3))
+    for pipeline in (known, forgotten):
+        reports(pipeline, (0.0, 0.1, 0.2))
+    at_once, anew = reports(known, (10.1,))[0], reports(forgotten, (10.3, 10.4))
+    scene.step(fresh, 10.3)
+
+    assert not at_once.withheld
+    assert [light.withheld for light in anew] == [True, False]
+    assert anew[1].probability == pytest.approx(scene.step(fresh, 10.4)[0].probability)
+    assert at_once.probability != pytest.approx(anew[1].probability)
