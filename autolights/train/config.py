@@ -91,6 +91,8 @@ class AugmentConfig(Config):
         scale: Whole images are scaled by 1 ± this; crops have their own range.
         translate: Whole images are moved by up to this share of the input, either way.
         flip: Probability of a horizontal flip where each class in view has a mirror class.
+        flip_vertical: Probability of turning the picture upside down where each class in view is its own mirror class;
+            for photos that are met so.
         mosaic: Probability that four whole images are put together.
         blur: Probability of a Gaussian blur.
         blur_sigma_px: Its range.
@@ -108,6 +110,7 @@ class AugmentConfig(Config):
     scale: float = Field(default=0.3, ge=0, lt=1)
     translate: float = Field(default=0.1, ge=0, le=0.5)
     flip: _Share = 0.5
+    flip_vertical: _Share = 0.0
     mosaic: _Share = 0.0
     blur: _Share = 0.1
     blur_sigma_px: tuple[float, float] = (0.3, 1.5)

@@ -19,6 +19,8 @@ from autolights.train.network.public_checkpoint import read_public_checkpoint
 OWN_LICENCE = "Apache-2.0"
 BASE = "base"
 _ANCHORS = "model.24.anchors"
+_HEAD = "model.24.m."
+_COMMON_ROWS = 5  # of each anchor of the head: box and objectness, which every set of classes has
 BASE_PATH = Path(__file__).parents[1] / "base" / "yolov5n_autolights13.pt"
 
 
@@ -29,17 +31,21 @@ class TransferReport:
     Attributes:
         loaded: How many tensors were taken over.
         total: How many the network has.
+        partly: Tensors of the head of which the rows of box, objectness and the classes of like name were taken over.
         reinitialised: Tensors of the network that keep their start, and why; those of the fine level together.
         unused: Tensors of the file that the network does not have.
     """
 
     loaded: int
     total: int
+    partly: tuple[str, ...]
     reinitialised: tuple[str, ...]
     unused: tuple[str, ...]
 
     def __str__(self) -> str:
         text = f"{self.loaded} of {self.total} tensors loaded"
+        if self.partly:
+            text += f"; box, objectness and classes of like name alone: {', '.join(self.partly)}"
         if self.reinitialised:
             text += f"; re-initialised: {', '.join(self.reinitialised)}"
         if self.unused:
@@ -124,7 +130,7 @@ def start_from(model: YoloV5, weights: str) -> TransferReport:
         raise CheckpointError(
             f"{path}: holds a YOLOv5{checkpoint.size}; set size to '{checkpoint.size}' or choose other weights"
         )
-    report = transfer(model, checkpoint.state)
+    report = transfer(model, checkpoint.state, checkpoint.classes)
     # Whatever descends from copyleft weights stays under their licence, however often it is trained further.
     inherited = checkpoint.initial_weights
     licence = inherited.licence if inherited and inherited.licence != OWN_LICENCE else OWN_LICENCE
@@ -132,14 +138,34 @@ def start_from(model: YoloV5, weights: str) -> TransferReport:
     return report
 
 
-def transfer(model: YoloV5, state: dict[str, Tensor]) -> TransferReport:
-    """Copy every tensor whose name and shape fit, and the anchors of the common levels; leave the rest as it is."""
+def transfer(model: YoloV5, state: dict[str, Tensor], classes: Sequence[str]) -> TransferReport:
+    """Copy what fits, leave the rest as it is.
+
+    That is every tensor whose name and shape fit, the anchors of the common levels, and of a head for other classes
+    the rows of box and objectness and those of the classes that both know.
+
+    Args:
+        model: Changed in place.
+        state: Tensors of a checkpoint.
+        classes: That it knows; none if it does not name them.
+    """
     own = model.state_dict()
     fitting = {name: tensor for name, tensor in state.items() if name in own and own[name].shape == tensor.shape}
     if _ANCHORS in state and _ANCHORS not in fitting:
         # Levels have one order, so those of the shorter list are the common ones.
         common = state[_ANCHORS][: len(own[_ANCHORS])]
         fitting[_ANCHORS] = torch.cat([common.to(own[_ANCHORS]), own[_ANCHORS][len(common) :]])
+    partly = []
+    for name, tensor in own.items():
+        theirs = state.get(name)
+        if (
+            name.startswith(_HEAD)
+            and name not in fitting
+            and theirs is not None
+            and theirs.shape[1:] == tensor.shape[1:]
+        ):
+            fitting[name] = _with_known_rows(tensor, theirs, model.classes, classes)
+            partly.append(f"{name} ({len(theirs)} → {len(tensor)} channels)")
     model.load_state_dict(fitting, strict=False)
     changed = (
         f"{name} ({len(state[name])} → {len(tensor)} channels)" if name in state else f"{_part(name)} (not in the file)"
@@ -147,7 +173,20 @@ def transfer(model: YoloV5, state: dict[str, Tensor]) -> TransferReport:
         if name not in fitting
     )
     unused = (_part(name) for name in state if name not in own)
-    return TransferReport(len(fitting), len(own), tuple(dict.fromkeys(changed)), tuple(dict.fromkeys(unused)))
+    return TransferReport(
+        len(fitting) - len(partly), len(own), tuple(partly), tuple(dict.fromkeys(changed)), tuple(dict.fromkeys(unused))
+    )
+
+
+def _with_known_rows(own: Tensor, theirs: Tensor, classes: Sequence[str], their_classes: Sequence[str]) -> Tensor:
+    """A head's tensor with the rows that another set of classes has as well."""
+    both = [name for name in classes if name in their_classes]
+    rows = [*range(_COMMON_ROWS), *(_COMMON_ROWS + classes.index(name) for name in both)]
+    their_rows = [*range(_COMMON_ROWS), *(_COMMON_ROWS + their_classes.index(name) for name in both)]
+    merged = own.clone()
+    per_anchor = merged.view(3, -1, *own.shape[1:])
+    per_anchor[:, rows] = theirs.to(own).reshape(3, -1, *own.shape[1:])[:, their_rows]
+    return merged
 
 
 def _part(name: str) -> str:

@@ -108,8 +108,13 @@ def may_flip(class_ids_in_view: IntArray, mirrors: IntArray) -> bool:
     return bool((mirrors[class_ids_in_view] != _NO_MIRROR).all())
 
 
-def mirror_boxes(boxes_xyxy: FloatArray, canvas_width_px: int) -> FloatArray:
-    """(n, 4) boxes as a mirror shows them, left to right."""
+def may_turn_over(class_ids_in_view: IntArray, mirrors: IntArray) -> bool:
+    """Whether each class in view is its own mirror class: a ball, upside down, is a ball; an arrow is no arrow."""
+    return bool((mirrors[class_ids_in_view] == class_ids_in_view).all())
+
+
+def mirror_boxes(boxes_xyxy: FloatArray, canvas_side_px: int, axis: int = 0) -> FloatArray:
+    """(n, 4) boxes as a mirror shows them: axis 0 left to right, 1 upside down."""
     mirrored = boxes_xyxy.copy()
-    mirrored[:, [0, 2]] = canvas_width_px - boxes_xyxy[:, [2, 0]]
+    mirrored[:, [axis, axis + 2]] = canvas_side_px - boxes_xyxy[:, [axis + 2, axis]]
     return mirrored

@@ -10,7 +10,7 @@ from autolights.core.boxes import cxcywh_from_xyxy
 from autolights.data.image_dataset import ImageDataset
 from autolights.train.config import TrainConfig
 from autolights.train.network.model import MAX_STRIDE
-from autolights.train.samples.augment import PixelChanges, may_flip, mirror_boxes
+from autolights.train.samples.augment import PixelChanges, may_flip, may_turn_over, mirror_boxes
 from autolights.train.samples.image_cache import ImageCache
 from autolights.train.samples.placement import (
     Placement,
@@ -109,6 +109,10 @@ class TrainingSamples:
             width = visit.canvas_wh[0]
             placed = [(index, placement.mirrored(width)) for index, placement in placed]
             clipped, ids = mirror_boxes(clipped, width), self._mirrors[ids]
+        if config.flip_vertical and rng.random() < config.flip_vertical and may_turn_over(ids[seen], self._mirrors):
+            height = visit.canvas_wh[1]
+            placed = [(index, placement.mirrored(height, axis=1)) for index, placement in placed]
+            clipped = mirror_boxes(clipped, height, axis=1)
         draw_placed([(self._cache[index], placement) for index, placement in placed], canvas)
         canvas[:] = self._changes(canvas, rng)
         return np.column_stack([ids[kept], cxcywh_from_xyxy(clipped[kept]) / np.tile(visit.canvas_wh, 2)])

@@ -36,11 +36,11 @@ class Placement:
         linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         return cls(np.column_stack([linear, point_canvas - linear @ point_image]))
 
-    def mirrored(self, canvas_width_px: int) -> Self:
-        """The same with the canvas seen in a mirror, left to right."""
+    def mirrored(self, canvas_side_px: int, axis: int = 0) -> Self:
+        """The same with the canvas seen in a mirror: axis 0 left to right, 1 upside down."""
         matrix = self.canvas_from_image.copy()
-        matrix[0] = -matrix[0]
-        matrix[0, 2] += canvas_width_px
+        matrix[axis] = -matrix[axis]
+        matrix[axis, 2] += canvas_side_px
         return replace(self, canvas_from_image=matrix)
 
     def boxes(self, boxes_xyxy: FloatArray) -> FloatArray:

@@ -147,16 +147,20 @@ def test_copyleft_is_inherited_down_the_line(tmp_path, foreign_classes):
 
 
 def test_transfer_reports_what_does_not_fit(tmp_path):
-    source = YoloV5("n", 80)
-    target = YoloV5("n", 8)
-    fresh_head = target.model[24].m[0].weight.clone()
+    source = YoloV5("n", 3, ["car", "ball", "bus"])
+    target = YoloV5("n", 2, ["arrow", "ball"])
+    fresh, theirs = (model.model[24].m[0].weight.detach().clone().unflatten(0, (3, -1)) for model in (target, source))
 
     report = start_from(target, str(save_own(tmp_path / "coco.pt", source)))
 
     assert str(report).startswith(
-        "343 of 349 tensors loaded; re-initialised: model.24.m.0.weight (255 → 39 channels), model.24.m.0.bias"
+        "343 of 349 tensors loaded; box, objectness and classes of like name alone: "
+        "model.24.m.0.weight (24 → 21 channels), model.24.m.0.bias"
     )
-    assert torch.equal(target.model[24].m[0].weight, fresh_head)
+    rows = target.model[24].m[0].weight.unflatten(0, (3, -1))
+    torch.testing.assert_close(rows[:, :5], theirs[:, :5].half().float())  # box and objectness
+    assert torch.equal(rows[:, 5], fresh[:, 5])  # the arrow is new
+    torch.testing.assert_close(rows[:, 6], theirs[:, 6].half().float())  # the ball is known
     torch.testing.assert_close(target.model[23].cv3.conv.weight, source.model[23].cv3.conv.weight.half().float())
 
 

@@ -88,6 +88,19 @@ def test_arrows_with_a_mirror_class_take_it(images):
     assert picture[48, round((1 - 35 / 120) * 96)].min() > 200
 
 
+def test_what_is_its_own_mirror_image_may_turn_over(images):
+    settings = config(images, augment={**STILL, "flip": 0, "flip_vertical": 1.0})
+    samples = TrainingSamples(images, np.array([0, 2, 1]), settings)
+
+    (picture, ball), (_, arrow) = (draw(samples, 1, 0, index) for index in (0, 1))
+    _, still = draw(samples_of(images, augment={**STILL, "flip": 0}), 1, 0, 0)
+
+    assert ball[0, 2] == pytest.approx(1 - still[0, 2], abs=1e-6)
+    assert ball[0, 2] != pytest.approx(still[0, 2])
+    assert picture[round(ball[0, 2] * 96), round(ball[0, 1] * 96)].min() > 200
+    assert arrow[0, 2] == pytest.approx(still[0, 2], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("settings", "sides"),
     [({"image_size": 96}, (8, 24)), ({"crops": {"size": 64, "scale": (0.5, 2.0)}}, (10, 30))],

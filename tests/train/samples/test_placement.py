@@ -84,13 +84,14 @@ def test_drawing_what_meets_draws_as_drawing_everything(scale, rotate_deg):
     assert covered > 500
 
 
-def test_a_mirrored_placement_draws_the_mirrored_canvas():
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirrored_placement_draws_the_mirrored_canvas(axis):
     placement = Placement.turned_about(np.array([40, 20]), np.array([70.5, 64]), scale=1.3, rotation_deg=7)
     image = image_with_light((80, 40), (10, 10, 20, 30))
 
-    mirrored = drawn(placement.mirrored(128), image, 128)
+    mirrored = drawn(placement.mirrored(128, axis), image, 128)
 
-    difference = np.abs(mirrored[:, ::-1].astype(int) - drawn(placement, image, 128))
+    difference = np.abs(np.flip(mirrored, 1 - axis).astype(int) - drawn(placement, image, 128))
     assert difference.max() <= 2
 
 
