@@ -1,13 +1,13 @@
 """A scenario's drive: the truth, what the detector model says, and what a runtime is given, with all its errors."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autolights.core import CameraModel, Detections, FloatArray, Pose, SignalSet, load_signals
+from autolights.core import CameraModel, Detections, FloatArray, IntArray, Pose, SignalSet, load_signals
 from autolights.core.errors import UsageError
 from autolights.core.transforms import transform_points
 from autolights.data import Drive, FrameRecord, TruthFrame, TruthLight
@@ -41,6 +41,7 @@ class SuiteDrive:
         detections: By (camera, stamp_ns).
         sources: By (camera, stamp_ns): truth id behind each detection, None for a false alarm.
         map_positions: Surveyed position by map id.
+        flash_ends_ns: By truth id: when its flashes ended, in view or not, as far as that is known.
     """
 
     name: str
@@ -53,6 +54,7 @@ class SuiteDrive:
     detections: dict[tuple[str, int], Detections]
     sources: dict[tuple[str, int], tuple[str | None, ...]]
     map_positions: dict[str, FloatArray]
+    flash_ends_ns: Mapping[str, IntArray] = field(default_factory=dict)
 
 
 def scenario_drives(suite: SuiteConfig, name: str) -> Iterator[SuiteDrive]:
@@ -132,6 +134,10 @@ def build_drive(suite: SuiteConfig, name: str, index: int) -> SuiteDrive:
         detections=detections,
         sources=sources,
         map_positions=dict(zip(lights.ids, lights.positions, strict=True)),
+        flash_ends_ns={
+            head: _START_NS + np.round(ends_s * 1e9).astype(np.int64)
+            for head, ends_s in scene.flash_ends_s(scenario.duration_s).items()
+        },
     )
 
 

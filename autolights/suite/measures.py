@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from autolights.core import FloatArray
+from autolights.core import FloatArray, IntArray
 from autolights.evaluate.outcomes import LightOutcome
 from autolights.evaluate.timelines import (
     MAX_GAP_S,
@@ -111,7 +111,10 @@ def tally(run: DriveRun) -> Tally:
     unsafe = [unsafe_frames(stretch, run.drive.signals) for stretch in stretches]
     transitions = [delay for stretch in stretches for delay in transition_delays(stretch)]
     onsets = [delay for stretch in stretches for delay in flash_onset_delays(stretch)]
-    false = [false_flashes(stretch) for stretch in merged_stretches(rows.outcomes)]
+    false = [
+        false_flashes(stretch, run.drive.flash_ends_ns.get(stretch[0].truth.truth_id, ()))
+        for stretch in merged_stretches(rows.outcomes)
+    ]
     map_error_m, survey_error_m, far_error_m, near_error_m = _position_errors(run, rows.outcomes)
     return Tally(
         sets=len(run.step_ms),
@@ -175,10 +178,14 @@ def merged_stretches(rows: Iterable[LightOutcome]) -> list[list[LightOutcome]]:
     return stretches
 
 
-def false_flashes(stretch: Sequence[LightOutcome]) -> tuple[int, float]:
+def false_flashes(stretch: Sequence[LightOutcome], ends_ns: Sequence[int] | IntArray = ()) -> tuple[int, float]:
     """How often a light is newly called flashing that does not flash, and for how many seconds it did not flash.
 
     A report that goes on after the end of a flash is excused for the longest legal cycle; then it is a false one.
+
+    Args:
+        stretch: One light's rows in the order of time.
+        ends_ns: When its flashes ended, those that ended out of view too: truth has no rows there, tracks do.
     """
     count, steady_s, called = 0, 0.0, False
     flashed_ns: int | None = None
@@ -187,8 +194,10 @@ def false_flashes(stretch: Sequence[LightOutcome]) -> tuple[int, float]:
             flashed_ns = row.stamp_ns
         else:
             steady_s += (row.stamp_ns - before.stamp_ns) / 1e9
-        excused = flashed_ns is not None and row.stamp_ns - flashed_ns <= _FLASH_ENDS_S * 1e9
-        calls = row.estimate is not None and not row.withheld and row.estimate.flashing and not excused
+        calls = row.estimate is not None and not row.withheld and row.estimate.flashing
+        if calls:
+            flashed = [end for end in (*ends_ns, flashed_ns) if end is not None and end <= row.stamp_ns]
+            calls = not flashed or row.stamp_ns - max(flashed) > _FLASH_ENDS_S * 1e9
         count += calls and not called
         called = calls
     return count, steady_s

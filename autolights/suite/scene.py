@@ -71,6 +71,13 @@ class Scene:
             lit[:, column], reported[:, column], flashing[:, column] = known[key]
         return lit, reported, flashing
 
+    def flash_ends_s(self, until_s: float) -> dict[str, FloatArray]:
+        """By light: when its flashes end, to 10 ms, whether anybody sees it or not; from 2 s before the drive on."""
+        times_s = np.arange(-2.0, until_s, 0.01)
+        flashing = self.shown(times_s)[2]
+        ended = flashing[:-1] & ~flashing[1:]
+        return {head.id: times_s[1:][ended[:, column]] for column, head in enumerate(self.heads)}
+
     def poses(self, times_s: FloatArray) -> FloatArray:
         """(t, 4, 4) true pose of the vehicle in the town at each instant."""
         return np.array([self.motion.town_from_ins(float(time_s)) for time_s in times_s]).reshape(-1, 4, 4)

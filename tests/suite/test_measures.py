@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from autolights.evaluate.outcomes import hold_against_truth
 from autolights.suite import SuiteConfig
 from autolights.suite.drives import SuiteDrive, build_drive
 from autolights.suite.figures import figures, upper_bound
-from autolights.suite.measures import Tally, tally
+from autolights.suite.measures import Tally, false_flashes, merged_stretches, tally
 from autolights.suite.run import DriveRun, Pairing
 
 
@@ -46,7 +47,12 @@ def say(light: TruthLight, stamp_ns: int, frames: Sequence[tuple[str, int]]) -> 
 
 
 def follow(drive: SuiteDrive, change: Callable[[LightEstimate], LightEstimate | None], *, late_sets: int = 0) -> Tally:
-    """Tally of a tracker that knows the truth of `late_sets` ago and changes what it says by a rule."""
+    """Tally of `run_of`."""
+    return tally(run_of(drive, change, late_sets=late_sets))
+
+
+def run_of(drive: SuiteDrive, change: Callable[[LightEstimate], LightEstimate | None], *, late_sets: int) -> DriveRun:
+    """The run of a tracker that knows the truth of `late_sets` ago and changes what it says by a rule."""
     truths = []
     for frames in drive.sets:
         keys = tuple((frame.camera, frame.stamp_ns) for frame in frames)
@@ -58,7 +64,7 @@ def follow(drive: SuiteDrive, change: Callable[[LightEstimate], LightEstimate | 
         reports = (change(say(light, stamp_ns, keys)) for light in known.values())
         sets.append(EstimateSet(stamp_ns, "full", keys, tuple(r for r in reports if r is not None)))
     outcomes = hold_against_truth(drive.true_drive, drive.truth, sets, drive.signals, {})
-    return tally(DriveRun(drive, outcomes, (1.0,) * len(sets), Pairing(3, 1), Pairing(1, 1), {"late": 2}))
+    return DriveRun(drive, outcomes, (1.0,) * len(sets), Pairing(3, 1), Pairing(1, 1), {"late": 2})
 
 
 def test_who_knows_the_truth_reaches_everything(drive: SuiteDrive) -> None:
@@ -108,6 +114,34 @@ def test_calling_everything_flashing(drive: SuiteDrive) -> None:
     lights = {light.truth_id for frame in drive.truth.values() for light in frame.lights}
     assert len(lights) / 3 < of.false_flashes < 2 * len(lights)
     assert of.steady_hours > 0.02
+
+
+def test_a_flash_that_ended_out_of_view_is_excused_like_any_other(drive: SuiteDrive) -> None:
+    """Truth begins at its range; the track was there before."""
+    run = run_of(drive, lambda report: replace(report, flashing=True), late_sets=0)
+    (outcomes,) = run.outcomes.variants.values()
+    stretch = next(s for s in merged_stretches(outcomes.outcomes) if not any(row.truth.flashing for row in s))
+    start_ns = stretch[0].stamp_ns
+
+    assert false_flashes(stretch)[0] == 1
+    assert false_flashes(stretch, [start_ns - 10**8])[0] == 1, "it goes on for too long"
+    short = [row for row in stretch if row.stamp_ns < start_ns + 10**9]
+    assert false_flashes(short)[0] == 1
+    assert false_flashes(short, [start_ns - 10**8])[0] == 0
+    assert false_flashes(short, [start_ns - 2 * 10**9])[0] == 1
+
+
+def test_flashes_end_where_the_truth_says(drive: SuiteDrive) -> None:
+    """In view, what the programme knows and what the rows show is one."""
+    ends = 0
+    (outcomes,) = run_of(drive, lambda report: report, late_sets=0).outcomes.variants.values()
+    for stretch in merged_stretches(outcomes.outcomes):
+        for before, row in pairwise(stretch):
+            if before.truth.flashing and not row.truth.flashing:
+                ends_ns = drive.flash_ends_ns[row.truth.truth_id]
+                assert ((ends_ns > before.stamp_ns - 10**7) & (ends_ns <= row.stamp_ns + 10**7)).any()
+                ends += 1
+    assert ends > 0
 
 
 def test_flicker_is_counted(drive: SuiteDrive) -> None:
