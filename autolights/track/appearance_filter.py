@@ -35,6 +35,8 @@ from autolights.track.signal_groups import Partners
 _SLIP = 1e-3  # how often one look shows something else than the appearance, within the same instant
 _SHARPNESS = 4.0  # power of a class vector: an appearance is what the detector says most, and a tie is one
 _CACHED = 64  # frame times
+_NEVER = 1e-300  # of a state, and of what is seen in it
+_LOST = 1e-6  # of the sum of a belief, beyond which the model calls what was seen impossible
 _FLOOR = 1e-9  # of what other classes get together
 _LEVEL_WIDTH = 0.15  # of log odds, over which a level becomes the next: a look between them is not two looks by turns
 _ALONE = 0.02  # how often a camera errs by itself while another one does not
@@ -63,7 +65,8 @@ class AppearanceFilter:
     first: FloatArray
     confusable: FloatArray
     second_if_wrong: float
-    _ones: FloatArray
+    _ones: FloatArray  # (L + 1, c) which appearances are of a level, "missed" last
+    _found: FloatArray  # (L + 1, K) P(level | hidden state)
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -85,13 +88,15 @@ class AppearanceFilter:
         found = by_level.sum(axis=1, keepdims=True)
         if_level = np.divide(by_level, found, out=np.zeros_like(by_level), where=found > 0)
         # Rows of ones sum over appearances faster than a reduction along the middle axis.
-        ones = np.zeros((certainty.levels, len(looks)))
-        ones[:, :-1] = np.kron(np.eye(certainty.levels), np.ones(k))
+        ones = np.zeros((certainty.levels + 1, len(looks)))
+        ones[:-1, :-1], ones[-1, -1] = np.kron(np.eye(certainty.levels), np.ones(k)), 1.0
         errors = params.observation * ~right
         total = errors.sum(axis=1, keepdims=True)
         confusable = np.divide(errors, total, out=np.full_like(errors, 1 / max(k - 1, 1)), where=total > 0)
         second = min(certainty.second_if_wrong, _SECOND_MOST)
-        return cls(chain, looks, if_level, error_duration_s, looks * chain.initial, confusable, second, ones)
+        return cls(
+            chain, looks, if_level, error_duration_s, looks * chain.initial, confusable, second, ones, ones @ looks
+        )
 
     def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
         """Let time pass.
@@ -109,12 +114,14 @@ class AppearanceFilter:
         n, c, k = beliefs.shape
         # One product for all lights and appearances costs less than one for each light; that of "missed" is not used.
         moved = (beliefs.reshape(n * c, k) @ stay).reshape(n, c, k)
-        seen = ((self._ones @ beliefs).reshape(-1, k) @ both).reshape(n, -1, 2 * k)  # A, then ρ (A − S), of each level
-        missed = beliefs[:, -1] @ both[:, :k]
-        fresh = (1 - rho) * (np.add.reduce(seen[:, :, :k], axis=1) + missed)
-        moved[:, :-1] += (seen[:, :, None, k:] * self.looks_if_level).reshape(n, c - 1, k)
-        moved[:, :-1] += fresh[:, None, :] * self.looks[:-1]
-        moved[:, -1] = rho * missed + fresh * self.looks[-1]
+        # By level, "missed" last: A, then ρ (A − S).
+        by_level = ((self._ones @ beliefs).reshape(-1, k) @ both).reshape(n, -1, 2 * k)
+        after = by_level[:, :, :k]
+        fresh = (1 - rho) * np.add.reduce(after, axis=1)
+        drawn = fresh[:, None] * self._found
+        drawn[:, :-1] += by_level[:, :-1, k:]
+        moved[:, :-1] += (drawn[:, :-1, None] * self.looks_if_level).reshape(n, c - 1, k)
+        moved[:, -1] = rho * after[:, -1] + drawn[:, -1]
         return moved
 
     def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray]:
@@ -165,9 +172,21 @@ class AppearanceFilter:
         Returns:
             (n, c, K). Where the model calls a look impossible, it is believed as at first sight.
         """
+        posterior = self.weigh(beliefs, likelihood, factors)
+        self.settle(posterior, likelihood)
+        return posterior
+
+    def weigh(
+        self, beliefs: FloatArray, likelihood: FloatArray, factors: tuple[IntArray, FloatArray] | None
+    ) -> FloatArray:
+        """(..., n, c, K) beliefs times what cameras saw, as in `update`; they do not sum to 1 yet."""
         posterior = beliefs * likelihood[:, :, None]
         if factors is not None:
-            posterior[factors[0]] *= factors[1]
+            posterior[..., factors[0], :, :] *= factors[1]
+        return posterior
+
+    def settle(self, posterior: FloatArray, likelihood: FloatArray) -> None:
+        """Make (n, c, K) products of `weigh` sum to 1 in place; where nothing is left, start as at first sight."""
         mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
         if np.count_nonzero(mass) < len(mass):
             lost = mass == 0
@@ -176,7 +195,6 @@ class AppearanceFilter:
             posterior[mass == 0] = self.first
             mass = posterior.sum(axis=(1, 2))
         posterior /= mass[:, None, None]
-        return posterior
 
     def states(self, beliefs: FloatArray) -> FloatArray:
         """(n, K) belief in each hidden state, whatever it looks like."""
@@ -199,23 +217,21 @@ class AppearanceFilter:
             partners: Which lights form a group.
             factors: As in `update`.
         """
-        before = self.states(beliefs)
-        posterior = beliefs * likelihood[:, :, None]
-        if factors is not None:
-            posterior[factors[0]] *= factors[1]
-        after = self.states(posterior)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            evidence = np.log(np.where(before > 0, after / before, 1.0))
-            state = np.log(before) + partners.total(evidence)
-            best = state.max(axis=1, keepdims=True)
-            state = np.exp(state - np.where(np.isfinite(best), best, 0.0))
-            total = state.sum(axis=1, keepdims=True)
-            factor = np.where(after > 0, state / total / after, 0.0)
+        posterior = self.weigh(beliefs, likelihood, factors)
+        self.settle_together(beliefs, posterior, partners)
+        return posterior
+
+    def settle_together(self, beliefs: FloatArray, posterior: FloatArray, partners: Partners) -> None:
+        """`settle` for lights that share evidence: (n, c, K) `posterior` is what `weigh` made of `beliefs`."""
+        before, after = self.states(beliefs), self.states(posterior)
+        evidence = partners.total(np.log(np.maximum(after / np.maximum(before, _NEVER), _NEVER)))
+        state = before * np.exp(evidence - np.maximum.reduce(evidence, axis=1, keepdims=True))
+        state /= np.add.reduce(state, axis=1, keepdims=True)
+        factor = state / np.maximum(after, _NEVER)
         posterior *= factor[:, None, :]
-        lost = ~(np.abs(posterior.sum(axis=(1, 2)) - 1) < 1e-6)
-        if lost.any():
+        lost = np.abs(np.add.reduce(after * factor, axis=1) - 1) > _LOST
+        if np.count_nonzero(lost):
             posterior[partners.total(lost[:, None].astype(np.float64))[:, 0] > 0] = self.first
-        return np.asarray(posterior)
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,27 +118,29 @@ class GroupDisputes:
         """What is held against the second track is held against the first."""
         self._since_ms[row], self.disputed[row] = self._since_ms[source], self.disputed[source]
 
-    def judge(self, rows: IntArray, groups: IntArray, beliefs: FloatArray, seen: BoolArray, now_ms: int) -> None:
+    def judge(self, rows: IntArray, mates: Partners, beliefs: FloatArray, seen: BoolArray, now_ms: int) -> None:
         """Compare lights of one type.
 
         Args:
             rows: (n,) tracks.
-            groups: (n,) of the map; negative for none.
+            mates: Who is of one group on the map.
             beliefs: (n, k) in each class, from each light's own looks.
             seen: (n,) whether a light lives and was seen in this set; who is not is neither judged nor heard.
             now_ms: Of this set.
         """
-        heard = seen & (groups >= 0)
-        mates = (groups[:, None] == groups[None, :]) & heard[:, None] & heard[None, :]
-        np.fill_diagonal(mates, False)
-        count = mates.sum(axis=1)
-        same = ((beliefs @ beliefs.T) * mates).sum(axis=1) / np.maximum(count, 1)
-        odd, fine = rows[(count > 0) & (same < _DISAGREE)], rows[(count > 0) & (same > _AGREE)]
-        self._since_ms[rows[count == 0]] = -1
-        self._since_ms[fine], self.disputed[fine] = -1, False
-        started = odd[self._since_ms[odd] < 0]
-        self._since_ms[started] = now_ms
-        self.disputed[odd[now_ms - self._since_ms[odd] >= self._after_ms]] = True
+        heard = np.ones((len(rows), beliefs.shape[1] + 1))
+        heard[:, 1:] = beliefs
+        heard *= seen[:, None]
+        others = mates.total(heard) - heard
+        same = np.add.reduce(heard[:, 1:] * others[:, 1:], axis=1) / np.maximum(others[:, 0], 1)
+        judged = seen & (others[:, 0] > 0.5)
+        since_ms, odd = self._since_ms.take(rows), judged & (same < _DISAGREE)
+        since_ms = np.where(odd, np.where(since_ms < 0, now_ms, since_ms), since_ms)
+        since_ms[~judged | (same > _AGREE)] = -1
+        self._since_ms[rows] = since_ms
+        self.disputed[rows] = np.where(
+            odd, now_ms - since_ms >= self._after_ms, self.disputed.take(rows) & ~(judged & (same > _AGREE))
+        )
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered."""

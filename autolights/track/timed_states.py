@@ -1,17 +1,18 @@
 """Mode ``timed``: the beliefs of all tracks of a type are one array, moved through time and updated at once."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 
 from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, SignalSet
 from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
+from autolights.track.belief_block import BeliefBlock
 from autolights.track.config import TrackConfig
 from autolights.track.hidden_chain import HiddenChain
 from autolights.track.outcomes import Outcomes, choose
-from autolights.track.signal_groups import GroupDisputes, Partners, share
+from autolights.track.signal_groups import GroupDisputes
 from autolights.track.states import Looks, Reports
 
 _MISSED = "missed"
@@ -52,40 +53,6 @@ class _Model:
                 _MISSED,
             ),
         )
-
-
-@dataclass(eq=False)
-class _Block:
-    """The tracks of one type of which something is remembered.
-
-    Attributes:
-        rows: (n,) of the track table, ascending.
-        own: (n, c, K) beliefs from what was seen of each light itself.
-        shared: (n, c, K) beliefs from what was seen of its group as well; None while no two lights share evidence.
-        joined: (n,) group with which a light shares evidence; negative for none.
-        partners: The same, settled.
-    """
-
-    rows: IntArray
-    own: FloatArray
-    shared: FloatArray | None
-    joined: IntArray
-    partners: Partners
-
-    @classmethod
-    def of(cls, rows: IntArray, own: FloatArray, shared: FloatArray | None, joined: IntArray) -> Self:
-        """A block whose lights share as `joined` says."""
-        return cls(rows, own, None if (joined < 0).all() else shared, joined, Partners.of(joined))
-
-    @property
-    def told(self) -> FloatArray:
-        """What reports are made of."""
-        return self.own if self.shared is None else self.shared
-
-    def take(self, slots: IntArray | BoolArray) -> "_Block":
-        """These lights alone; who shares with whom is settled anew."""
-        shared = None if self.shared is None else self.shared[slots]
-        return _Block.of(self.rows[slots], self.own[slots], shared, self.joined[slots])
 
 
 class TimedStates:
@@ -143,7 +110,7 @@ class TimedStates:
         self._pairs = np.concatenate([self._pairs, np.full(len(types), -1)])
         self._disputes.append(len(types))
         for t in np.unique(types):
-            self._blocks[t] = _join(self._blocks[t], self._fresh(t, rows[types == t]))
+            self._blocks[t] = self._blocks[t].join(self._fresh(t, rows[types == t]))
 
     def keep(self, rows: IntArray) -> None:
         """Forget all tracks but these, ascending."""
@@ -169,7 +136,7 @@ class TimedStates:
                 self._blocks[t] = block.take(~gone)
         self._types[rows] = types
         for t in np.unique(types):
-            self._blocks[t] = _join(self._blocks[t], self._fresh(t, np.sort(rows[types == t])))
+            self._blocks[t] = self._blocks[t].join(self._fresh(t, np.sort(rows[types == t])))
 
     def take_over(self, row: int, source: int) -> None:
         """Two tracks of one type are one light: the first gets what is believed of the second, its group too."""
@@ -177,6 +144,8 @@ class TimedStates:
         block = self._blocks[t]
         self._groups[row] = self._groups[source]
         if source not in block.rows:  # nothing is remembered of it
+            groups = np.where(block.rows == row, self._groups[source], block.groups)
+            self._blocks[t] = replace(block, groups=groups)
             return
         kept = block.take(block.rows != row)
         kept.rows[kept.rows == source] = row
@@ -192,11 +161,9 @@ class TimedStates:
         self._now_ms = now_ms
         if elapsed_ms == 0:
             return
-        for block, model in zip(self._blocks, self._models, strict=True):
-            if len(block.rows):
-                block.own = model.filter.predict(block.own, elapsed_ms)
-                if block.shared is not None:
-                    block.shared = model.filter.predict(block.shared, elapsed_ms)
+        for block in self._blocks:
+            if len(block):
+                block.predict(elapsed_ms)
 
     def take_in(self, looks: Sequence[Looks]) -> None:
         """Update by a set of frames, one entry for each camera.
@@ -241,33 +208,24 @@ class TimedStates:
                     self._pairs[block.rows] = pairs
                     if len(new):
                         factors = new, model.filter.seconds(leading[new])
-                block.own = model.filter.update(block.own, own_likelihood, factors)
-                if block.shared is not None:
-                    block.shared = model.filter.update_together(block.shared, own_likelihood, block.partners, factors)
+                block.update(own_likelihood, factors)
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
         """Say which tracks are alive: only these share evidence. Those whose past is over take no room from now on."""
         self._alive = alive
-        for t, block in enumerate(self._blocks):
+        for t, block in enumerate(self._blocks if np.count_nonzero(over) else ()):
             gone = over[block.rows]
             if np.count_nonzero(gone):
                 self._blocks[t] = block.take(~gone)
-        if not self._config.share_groups or not np.count_nonzero(self._groups >= 0):
+        if not self._config.share_groups:
             return
         now_ms = self._now_ms or 0
         for t, (block, model) in enumerate(zip(self._blocks, self._models, strict=True)):
-            groups = self._groups[block.rows]
-            if not (groups >= 0).any():
-                continue
-            beliefs = model.filter.states(block.own) @ model.class_membership
-            self._disputes.judge(block.rows, groups, beliefs, alive[block.rows] & self._looked[block.rows], now_ms)
-            may_join = alive[block.rows] & ~self._disputes.disputed[block.rows]
-            joined = np.where(may_join, groups, -1)
-            numbers, counts = np.unique(joined, return_counts=True)
-            joined[~np.isin(joined, numbers[counts > 1])] = -1
-            if not np.array_equal(joined, block.joined):
-                shared = share(block.own, block.shared, block.joined, joined, model.filter.chain.initial)
-                self._blocks[t] = _Block.of(block.rows, block.own, shared, joined)
+            if block.mates is not None:
+                lives = alive.take(block.rows)
+                beliefs = model.filter.states(block.own) @ model.class_membership
+                self._disputes.judge(block.rows, block.mates, beliefs, lives & self._looked.take(block.rows), now_ms)
+                self._blocks[t] = block.share_among(lives & ~self._disputes.disputed.take(block.rows))
 
     def report(self) -> Reports:
         """What is said of each track; of those of which nothing is remembered, what is likely before any look."""
@@ -339,7 +297,7 @@ class TimedStates:
         }
         if self._groups[row] >= 0:
             told["group"] = {
-                "shares": block.shared is not None and bool(block.joined[slot] >= 0),
+                "shares": bool(block.joined[slot] >= 0),
                 "disputed": bool(self._disputes.disputed[row]),
                 "own_belief": dict(
                     zip(
@@ -363,7 +321,7 @@ class TimedStates:
                 {
                     "rows": block.rows.tolist(),
                     "own": block.own.tolist(),
-                    "shared": None if block.shared is None else block.shared.tolist(),
+                    "shared": block.beliefs[1].tolist() if block.shares else None,
                     "joined": block.joined.tolist(),
                 }
                 for block in self._blocks
@@ -385,16 +343,11 @@ class TimedStates:
         self._disputes.restore(values["disputes"])
         blocks = []
         for t, saved in enumerate(values["blocks"]):
-            shape = self._models[t].filter.first.shape
-            shared = saved["shared"]
-            blocks.append(
-                _Block.of(
-                    np.array(saved["rows"], dtype=np.int64),
-                    np.array(saved["own"], dtype=np.float64).reshape(-1, *shape),
-                    None if shared is None else np.array(shared, dtype=np.float64).reshape(-1, *shape),
-                    np.array(saved["joined"], dtype=np.int64),
-                )
-            )
+            own_filter, rows = self._models[t].filter, np.array(saved["rows"], dtype=np.int64)
+            layers = [saved["own"]] if saved["shared"] is None else [saved["own"], saved["shared"]]
+            beliefs = np.array(layers, dtype=np.float64).reshape(len(layers), len(rows), *own_filter.first.shape)
+            joined = np.array(saved["joined"], dtype=np.int64)
+            blocks.append(BeliefBlock(own_filter, rows, self._groups[rows], joined, beliefs))
         self._blocks = blocks
 
     def _first_reports(self) -> Reports:
@@ -413,16 +366,5 @@ class TimedStates:
             disputed=nowhere,
         )
 
-    def _fresh(self, t: int, rows: IntArray) -> _Block:
-        first = self._models[t].filter.first
-        own = np.broadcast_to(first, (len(rows), *first.shape)).copy()
-        return _Block.of(rows, own, None, np.full(len(rows), -1))
-
-
-def _join(block: _Block, more: _Block) -> _Block:
-    """Both, by ascending rows."""
-    rows = np.concatenate([block.rows, more.rows])
-    order = np.argsort(rows)
-    shared = None if block.shared is None else np.concatenate([block.shared, more.own])[order]
-    own, joined = np.concatenate([block.own, more.own]), np.concatenate([block.joined, more.joined])
-    return _Block.of(rows[order], own[order], shared, joined[order])
+    def _fresh(self, t: int, rows: IntArray) -> BeliefBlock:
+        return BeliefBlock.fresh(self._models[t].filter, rows, self._groups[rows])

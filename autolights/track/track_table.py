@@ -103,7 +103,8 @@ class TrackTable:
         """Let lights die that were out of sight for so long that nothing is known of their states any more."""
         if config.mode == "timed":
             gone = set_ns - self.last_seen_ns > config.state_memory_s * 1e9
-            self.alive, self.hits = self.alive & ~gone, np.where(gone, 0, self.hits)
+            if np.count_nonzero(gone):
+                self.alive, self.hits = self.alive & ~gone, np.where(gone, 0, self.hits)
 
     def end_set(
         self, detected: BoolArray, expected: BoolArray, set_ns: int, elapsed_ns: int, config: TrackConfig

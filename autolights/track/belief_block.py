@@ -1,0 +1,113 @@
+"""The beliefs of all tracks of one type in one array, and who of them shares evidence with whom."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from autolights.core import BoolArray, FloatArray, IntArray
+from autolights.track.appearance_filter import AppearanceFilter
+from autolights.track.signal_groups import Partners, share
+
+
+@dataclass(eq=False)
+class BeliefBlock:
+    """The n tracks of one type of which something is remembered.
+
+    Attributes:
+        filter: Of the type.
+        rows: (n,) of the track table, ascending.
+        groups: (n,) signal group on the map; negative for none.
+        joined: (n,) group with which a light shares evidence now; negative for none.
+        beliefs: (1 or 2, n, c, K) from what was seen of each light itself, and, while any two lights share evidence,
+            from what was seen of its group as well.
+    """
+
+    filter: AppearanceFilter
+    rows: IntArray
+    groups: IntArray
+    joined: IntArray
+    beliefs: FloatArray
+
+    @classmethod
+    def fresh(cls, own_filter: AppearanceFilter, rows: IntArray, groups: IntArray) -> Self:
+        """Lights as they are at first sight."""
+        beliefs = np.broadcast_to(own_filter.first, (1, len(rows), *own_filter.first.shape)).copy()
+        return cls(own_filter, rows, groups, np.full(len(rows), -1), beliefs)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def own(self) -> FloatArray:
+        """(n, c, K) from what was seen of each light itself."""
+        return np.asarray(self.beliefs[0])
+
+    @property
+    def told(self) -> FloatArray:
+        """(n, c, K) what reports are made of."""
+        return np.asarray(self.beliefs[-1])
+
+    @property
+    def shares(self) -> bool:
+        """Whether any two lights share evidence."""
+        return len(self.beliefs) > 1
+
+    @cached_property
+    def partners(self) -> Partners:
+        """Who shares evidence now."""
+        return Partners.of(self.joined)
+
+    @cached_property
+    def mates(self) -> Partners | None:
+        """Who is of one group on the map; None if no two are."""
+        grouped = np.sort(self.groups[self.groups >= 0])
+        return Partners.of(self.groups) if (grouped[1:] == grouped[:-1]).any() else None
+
+    def take(self, slots: IntArray | BoolArray) -> "BeliefBlock":
+        """These lights alone."""
+        joined, beliefs = self.joined[slots], self.beliefs[:, slots]
+        if self.shares and (joined < 0).all():
+            beliefs = beliefs[:1]
+        return BeliefBlock(self.filter, self.rows[slots], self.groups[slots], joined, beliefs)
+
+    def join(self, more: "BeliefBlock") -> "BeliefBlock":
+        """Both, by ascending rows; the others share with nobody yet."""
+        rows = np.concatenate([self.rows, more.rows])
+        order = np.argsort(rows)
+        theirs = np.broadcast_to(more.own, (len(self.beliefs), *more.own.shape))
+        return BeliefBlock(
+            self.filter,
+            rows[order],
+            np.concatenate([self.groups, more.groups])[order],
+            np.concatenate([self.joined, more.joined])[order],
+            np.concatenate([self.beliefs, theirs], axis=1)[:, order],
+        )
+
+    def predict(self, elapsed_ms: int) -> None:
+        """Let time pass."""
+        shape = self.beliefs.shape
+        self.beliefs = self.filter.predict(self.beliefs.reshape(-1, *shape[2:]), elapsed_ms).reshape(shape)
+
+    def update(self, likelihood: FloatArray, factors: tuple[IntArray, FloatArray] | None) -> None:
+        """Take in what cameras saw at one instant: see `AppearanceFilter.update`."""
+        before = self.beliefs
+        self.beliefs = self.filter.weigh(before, likelihood, factors)
+        self.filter.settle(self.own, likelihood)
+        if self.shares:
+            self.filter.settle_together(before[1], self.beliefs[1], self.partners)
+
+    def share_among(self, may_join: BoolArray) -> "BeliefBlock":
+        """Let those of the (n,) lights share evidence that may, where two of a group on the map do."""
+        if self.mates is None:
+            return self
+        together = may_join & (self.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
+        joined = np.where(together, self.groups, -1)
+        if np.array_equal(joined, self.joined):
+            return self
+        own, shared = self.own, self.beliefs[1] if self.shares else None
+        layers = [own]
+        if together.any():
+            layers.append(share(own, shared, self.joined, joined, self.filter.chain.initial))
+        return replace(self, joined=joined, beliefs=np.stack(layers))
