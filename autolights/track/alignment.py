@@ -288,7 +288,7 @@ class _Problem:
         of_image[np.arange(len(lights)), effect.images] = 1.0
         sums = (terms.reshape(15, -1) @ of_image).T  # (s, 15)
         information = sums.take(_INFORMATION, axis=1)
-        covariances = np.linalg.inv(np.linalg.inv(priors) + information)
+        covariances = np.linalg.solve(_IDENTITY + priors @ information, priors)  # (P⁻¹ + JᵀJ)⁻¹
         pairs = np.bincount(effect.images, minlength=s)
         alone = (pairs == 0).nonzero()[0]
         if len(alone):
@@ -313,6 +313,7 @@ class _Problem:
 # Where in the sums of `_Problem._fit` the elements of JᵀJ stand, and those of Jᵀ o.
 _INFORMATION = np.array([[0, 1, 5, 6], [1, 2, 6, 7], [5, 6, 10, 11], [6, 7, 11, 12]])
 _PULL = np.array([3, 4, 8, 9])
+_IDENTITY = np.eye(4)
 
 
 def _trace(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -51,7 +51,6 @@ class AppearanceFilter:
     Attributes:
         chain: K hidden states.
         looks: (c, K) P(appearance | hidden state).
-        looks_if_level: (L, k, K) the same, given how surely it is seen.
         error_duration_s: How long an appearance lasts; 0 draws it anew for each look.
         first: (c, K) belief at first sight.
         confusable: (k, k) what comes second, where the detector is right: `[i, j]` as often as i is taken for j.
@@ -60,13 +59,15 @@ class AppearanceFilter:
 
     chain: HiddenChain
     looks: FloatArray
-    looks_if_level: FloatArray
     error_duration_s: float
     first: FloatArray
     confusable: FloatArray
     second_if_wrong: float
+    _every: FloatArray  # (c,) ones
     _ones: FloatArray  # (L + 1, c) which appearances are of a level, "missed" last
+    _level_of: IntArray  # (c,) the same as numbers
     _found: FloatArray  # (L + 1, K) P(level | hidden state)
+    _shares: FloatArray  # (c, K) P(appearance | its level, hidden state)
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -94,8 +95,20 @@ class AppearanceFilter:
         total = errors.sum(axis=1, keepdims=True)
         confusable = np.divide(errors, total, out=np.full_like(errors, 1 / max(k - 1, 1)), where=total > 0)
         second = min(certainty.second_if_wrong, _SECOND_MOST)
+        first, every = looks * chain.initial, np.ones(len(looks))
+        shares = np.concatenate([if_level.reshape(-1, len(chain)), np.ones((1, len(chain)))])
         return cls(
-            chain, looks, if_level, error_duration_s, looks * chain.initial, confusable, second, ones, ones @ looks
+            chain,
+            looks,
+            error_duration_s,
+            first,
+            confusable,
+            second,
+            _every=every,
+            _ones=ones,
+            _level_of=ones.argmax(axis=0),
+            _found=ones @ looks,
+            _shares=shares,
         )
 
     def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
@@ -120,7 +133,9 @@ class AppearanceFilter:
         fresh = (1 - rho) * np.add.reduce(after, axis=1)
         drawn = fresh[:, None] * self._found
         drawn[:, :-1] += by_level[:, :-1, k:]
-        moved[:, :-1] += (drawn[:, :-1, None] * self.looks_if_level).reshape(n, c - 1, k)
+        looks = drawn.take(self._level_of, axis=1)
+        looks *= self._shares
+        moved += looks
         moved[:, -1] = rho * after[:, -1] + drawn[:, -1]
         return moved
 
@@ -129,13 +144,6 @@ class AppearanceFilter:
         change, stay = self.chain.over(duration_ms)
         rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
         return rho, np.concatenate([change, rho * (change - stay).clip(min=0)], axis=1), rho * stay
-
-    def pairs(self, class_probs: FloatArray) -> IntArray:
-        """(m,) a number for the leading and the second of (m, k) classes; while it stays, they say nothing new."""
-        every, lead = np.arange(len(class_probs)), class_probs.argmax(axis=1)
-        rest = class_probs.copy()
-        rest[every, lead] = -1.0
-        return np.asarray(lead * class_probs.shape[1] + rest.argmax(axis=1))
 
     def seconds(self, class_probs: FloatArray) -> FloatArray:
         """What the class says that comes second: after an error it is mostly the truth.
@@ -155,7 +163,7 @@ class AppearanceFilter:
         by_class = self.second_if_wrong * shares + (1 - self.second_if_wrong) * (1 - shares) / max(k - 2, 1)
         by_class[every, lead] = (shares * self.confusable[lead]).sum(axis=1)
         factors = np.ones((m, *self.first.shape))
-        for level in range(self.looks_if_level.shape[0]):
+        for level in range(len(self._ones) - 1):
             factors[every, level * k + lead] = by_class.take(self.chain.class_of, axis=1)
         return factors
 
@@ -198,7 +206,7 @@ class AppearanceFilter:
 
     def states(self, beliefs: FloatArray) -> FloatArray:
         """(n, K) belief in each hidden state, whatever it looks like."""
-        return np.asarray(np.ones(beliefs.shape[1]) @ beliefs)
+        return np.asarray(self._every @ beliefs)
 
     def update_together(
         self,
@@ -320,6 +328,14 @@ class LookReader:
         alone = (self.dissent.take(types, axis=0) * _levels(reached)).sum(axis=1)
         said = np.asarray((own / best) ** sharpness * self.scale.take(types, axis=0))
         return said, reached[:, :, None] * (own == best)[:, None, :], alone
+
+
+def leading_pairs(class_probs: FloatArray) -> IntArray:
+    """(m,) a number for the leading and the second of (m, k) classes."""
+    every, lead = np.arange(len(class_probs)), class_probs.argmax(axis=1)
+    rest = class_probs.copy()
+    rest[every, lead] = -1.0
+    return np.asarray(lead * class_probs.shape[1] + rest.argmax(axis=1))
 
 
 def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:

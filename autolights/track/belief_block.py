@@ -59,14 +59,10 @@ class BeliefBlock:
         """Who shares evidence now."""
         return Partners.of(self.joined)
 
-    @cached_property
-    def mates(self) -> Partners | None:
-        """Who is of one group on the map; None if no two are."""
-        grouped = np.sort(self.groups[self.groups >= 0])
-        return Partners.of(self.groups) if (grouped[1:] == grouped[:-1]).any() else None
-
     def take(self, slots: IntArray | BoolArray) -> "BeliefBlock":
         """These lights alone."""
+        if slots.dtype == bool and slots.all():
+            return self
         joined, beliefs = self.joined[slots], self.beliefs[:, slots]
         if self.shares and (joined < 0).all():
             beliefs = beliefs[:1]
@@ -98,16 +94,12 @@ class BeliefBlock:
         if self.shares:
             self.filter.settle_together(before[1], self.beliefs[1], self.partners)
 
-    def share_among(self, may_join: BoolArray) -> "BeliefBlock":
-        """Let those of the (n,) lights share evidence that may, where two of a group on the map do."""
-        if self.mates is None:
-            return self
-        together = may_join & (self.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
+    def share_among(self, together: BoolArray) -> "BeliefBlock":
+        """Let those (n,) lights share evidence with the others of their groups."""
         joined = np.where(together, self.groups, -1)
         if np.array_equal(joined, self.joined):
             return self
-        own, shared = self.own, self.beliefs[1] if self.shares else None
-        layers = [own]
+        layers, shared = [self.own], self.beliefs[1] if self.shares else None
         if together.any():
-            layers.append(share(own, shared, self.joined, joined, self.filter.chain.initial))
+            layers.append(share(self.own, shared, self.joined, joined, self.filter.chain.initial))
         return replace(self, joined=joined, beliefs=np.stack(layers))

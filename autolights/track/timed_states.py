@@ -2,17 +2,24 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 
 from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, SignalSet
-from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
+from autolights.track.appearance_filter import (
+    AppearanceFilter,
+    LookReader,
+    leading_pairs,
+    miss_likelihood,
+    seen_likelihood,
+)
 from autolights.track.belief_block import BeliefBlock
 from autolights.track.config import TrackConfig
 from autolights.track.hidden_chain import HiddenChain
 from autolights.track.outcomes import Outcomes, choose
-from autolights.track.signal_groups import GroupDisputes
+from autolights.track.signal_groups import GroupDisputes, Partners
 from autolights.track.states import Looks, Reports
 
 _MISSED = "missed"
@@ -52,6 +59,39 @@ class _Model:
                 *(f"{state}, certainty {i + 1} of {levels}" for i in range(levels) for state in params.states),
                 _MISSED,
             ),
+        )
+
+
+@dataclass(eq=False)
+class _LineUp:
+    """The m tracks of which something is remembered, block by block.
+
+    Attributes:
+        rows: (m,) of the track table.
+        slices: Of each block.
+        mates: Who is of one group on the map; None if no two are.
+        may_join: (m,) who may share evidence with its mates.
+        partners: Who does; None if nobody.
+    """
+
+    rows: IntArray
+    slices: tuple[slice, ...]
+    mates: Partners | None
+    may_join: BoolArray
+    partners: Partners | None
+
+    @classmethod
+    def of(cls, blocks: Sequence[BeliefBlock]) -> Self:
+        """The tracks of these blocks; who may join is not known yet."""
+        bounds = np.cumsum([0, *map(len, blocks)]).tolist()
+        groups, joined = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("groups", "joined"))
+        grouped = np.sort(groups[groups >= 0])
+        return cls(
+            rows=np.concatenate([block.rows for block in blocks]),
+            slices=tuple(slice(*bound) for bound in pairwise(bounds)),
+            mates=Partners.of(groups) if (grouped[1:] == grouped[:-1]).any() else None,
+            may_join=joined >= 0,
+            partners=Partners.of(joined) if any(block.shares for block in blocks) else None,
         )
 
 
@@ -95,7 +135,9 @@ class TimedStates:
         self._class_count = len(signals.classes)
         self._pairs: IntArray = np.empty(0, dtype=np.int64)  # which two classes led in this set, −1 for none
         self._said: IntArray = np.empty(0, dtype=np.int64)  # outcome that was reported last, −1 for none
-        self._blocks = [self._fresh(t, np.empty(0, dtype=np.int64)) for t in range(len(self._models))]
+        nobody: IntArray = np.empty(0, dtype=np.int64)
+        self._blocks = [BeliefBlock.fresh(model.filter, nobody, nobody) for model in self._models]
+        self._line: _LineUp | None = None
         self._now_ms: int | None = None
 
     def append(self, types: IntArray, groups: IntArray) -> None:
@@ -109,8 +151,7 @@ class TimedStates:
         self._said = np.concatenate([self._said, np.full(len(types), -1)])
         self._pairs = np.concatenate([self._pairs, np.full(len(types), -1)])
         self._disputes.append(len(types))
-        for t in np.unique(types):
-            self._blocks[t] = self._blocks[t].join(self._fresh(t, rows[types == t]))
+        self._begin(rows, types)
 
     def keep(self, rows: IntArray) -> None:
         """Forget all tracks but these, ascending."""
@@ -120,23 +161,24 @@ class TimedStates:
         self._alive, self._said, self._surely_seen = self._alive[rows], self._said[rows], self._surely_seen[rows]
         self._pairs = self._pairs[rows]
         self._disputes.keep(rows)
-        for t, block in enumerate(self._blocks):
-            kept = place[block.rows] >= 0
-            if not kept.all():
-                block = self._blocks[t] = block.take(kept)
+        self._replace({t: block.take(place[block.rows] >= 0) for t, block in enumerate(self._blocks)})
+        for block in self._blocks:
             block.rows = place[block.rows]
 
     def start_anew(self, rows: IntArray, types: IntArray) -> None:
         """Forget what is known of some tracks' states; they may have other types now."""
         self._disputes.reset(rows)
         self._said[rows] = -1
-        for t, block in enumerate(self._blocks):
-            gone = np.isin(block.rows, rows)
-            if gone.any():
-                self._blocks[t] = block.take(~gone)
+        self._replace({t: block.take(~np.isin(block.rows, rows)) for t, block in enumerate(self._blocks)})
         self._types[rows] = types
-        for t in np.unique(types):
-            self._blocks[t] = self._blocks[t].join(self._fresh(t, np.sort(rows[types == t])))
+        self._begin(rows, types)
+
+    def _begin(self, rows: IntArray, types: IntArray) -> None:
+        """Take in tracks of which nothing is known."""
+        for t in np.unique(types).tolist():
+            own = np.sort(rows[types == t])
+            fresh = BeliefBlock.fresh(self._models[t].filter, own, self._groups[own])
+            self._replace({t: self._blocks[t].join(fresh)})
 
     def take_over(self, row: int, source: int) -> None:
         """Two tracks of one type are one light: the first gets what is believed of the second, its group too."""
@@ -145,11 +187,11 @@ class TimedStates:
         self._groups[row] = self._groups[source]
         if source not in block.rows:  # nothing is remembered of it
             groups = np.where(block.rows == row, self._groups[source], block.groups)
-            self._blocks[t] = replace(block, groups=groups)
+            self._replace({t: replace(block, groups=groups)})
             return
         kept = block.take(block.rows != row)
         kept.rows[kept.rows == source] = row
-        self._blocks[t] = kept.take(np.argsort(kept.rows))
+        self._replace({t: kept.take(np.argsort(kept.rows))})
         for column in (self._looked, self._said, self._pairs):
             column[row] = column[source]
         self._disputes.take_over(row, source)
@@ -196,55 +238,84 @@ class TimedStates:
         for look in looks:
             if len(look.missed):
                 likelihood[look.missed[~looked[look.missed]]] = self._missed
-        before, self._pairs = self._pairs, np.full(n, -1)
-        for block, model, columns in zip(self._blocks, self._models, self._reader.columns, strict=True):
-            if len(block.rows):
-                own_likelihood = likelihood.take(block.rows, axis=0).take(model.appearances, axis=1)
-                factors = None
-                if model.filter.second_if_wrong:
-                    leading = surest.take(block.rows, axis=0).take(columns[: len(model.states)], axis=1)
-                    pairs = np.where(looked[block.rows], model.filter.pairs(leading), -1)
-                    new = ((pairs >= 0) & (pairs != before[block.rows])).nonzero()[0]
-                    self._pairs[block.rows] = pairs
-                    if len(new):
-                        factors = new, model.filter.seconds(leading[new])
-                block.update(own_likelihood, factors)
+        line = self._line_up()
+        new, leading = self._second_classes(surest, looked, line)
+        likelihood = likelihood.take(line.rows, axis=0)
+        for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
+            if not len(block):
+                continue
+            factors = None
+            if model.filter.second_if_wrong:
+                telling = new[here].nonzero()[0]
+                if len(telling):
+                    vectors = leading[here].take(telling, axis=0)[:, : len(model.states)]
+                    factors = telling, model.filter.seconds(vectors)
+            block.update(likelihood[here].take(model.appearances, axis=1), factors)
+
+    def _second_classes(self, surest: FloatArray, looked: BoolArray, line: _LineUp) -> tuple[BoolArray, FloatArray]:
+        """(m,) of whom the two leading classes are others than before, and (m, k) probabilities of its type's classes.
+
+        While the leading two stay, they say nothing new.
+        """
+        rows = line.rows
+        padded = np.zeros((len(rows), self._class_count + 1))
+        padded[:, :-1] = surest.take(rows, axis=0)
+        leading = np.take_along_axis(padded, self._reader.columns.take(self._types.take(rows), axis=0), axis=1)
+        pairs = np.where(looked.take(rows), leading_pairs(leading), -1)
+        before, self._pairs = self._pairs.take(rows), np.full(len(looked), -1)
+        self._pairs[rows] = pairs
+        return (pairs >= 0) & (pairs != before), leading
+
+    def _line_up(self) -> _LineUp:
+        if self._line is None:
+            self._line = _LineUp.of(self._blocks)
+        return self._line
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
         """Say which tracks are alive: only these share evidence. Those whose past is over take no room from now on."""
         self._alive = alive
-        for t, block in enumerate(self._blocks if np.count_nonzero(over) else ()):
-            gone = over[block.rows]
-            if np.count_nonzero(gone):
-                self._blocks[t] = block.take(~gone)
-        if not self._config.share_groups:
+        if np.count_nonzero(over.take(self._line_up().rows)):
+            self._replace({t: block.take(~over.take(block.rows)) for t, block in enumerate(self._blocks)})
+        line = self._line_up()
+        if line.mates is None or not self._config.share_groups:
             return
-        now_ms = self._now_ms or 0
-        for t, (block, model) in enumerate(zip(self._blocks, self._models, strict=True)):
-            if block.mates is not None:
-                lives = alive.take(block.rows)
-                beliefs = model.filter.states(block.own) @ model.class_membership
-                self._disputes.judge(block.rows, block.mates, beliefs, lives & self._looked.take(block.rows), now_ms)
-                self._blocks[t] = block.share_among(lives & ~self._disputes.disputed.take(block.rows))
+        beliefs = np.zeros((len(line.rows), self._reader.columns.shape[1]))
+        for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
+            if len(block):
+                beliefs[here, : len(model.states)] = model.filter.states(block.own) @ model.class_membership
+        lives = alive.take(line.rows)
+        self._disputes.judge(line.rows, line.mates, beliefs, lives & self._looked.take(line.rows), self._now_ms or 0)
+        may_join = lives & ~self._disputes.disputed.take(line.rows)
+        if np.array_equal(may_join, line.may_join):
+            return
+        together = may_join & (line.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
+        self._replace({t: self._blocks[t].share_among(together[here]) for t, here in enumerate(line.slices)})
+        self._line_up().may_join = may_join
+
+    def _replace(self, blocks: Mapping[int, BeliefBlock]) -> None:
+        """Blocks of these types have other tracks now, or share otherwise."""
+        for t, block in blocks.items():
+            self._blocks[t] = block
+        self._line = None
 
     def report(self) -> Reports:
         """What is said of each track; of those of which nothing is remembered, what is likely before any look."""
-        rows = np.concatenate([block.rows for block in self._blocks])
+        line = self._line_up()
+        rows = line.rows
         types, said = self._types.take(rows), self._said.take(rows)
         mass = np.zeros((len(rows), self._contradiction.shape[1]))
-        denied = np.zeros(mass.shape, dtype=bool)
-        start = 0
-        for block, model in zip(self._blocks, self._models, strict=True):
-            if len(block.rows):
-                here, names = slice(start, start + len(block.rows)), slice(len(model.outcomes.names))
+        denials, surely = np.zeros(mass.shape), self._surely_seen.take(rows, axis=0)
+        for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
+            if len(block):
+                names = slice(len(model.outcomes.names))
                 mass[here, names] = model.filter.states(block.told) @ model.outcomes.membership
-                denials = self._surely_seen[block.rows][:, : len(model.states)] @ model.outcomes.denied_by
-                # What is surely seen of one light of a group is denied to all of them.
-                denied[here, names] = block.partners.total((denials > _SURELY).astype(np.float64)) > 0
-                start = here.stop
+                denials[here, names] = surely[here, : len(model.states)] @ model.outcomes.denied_by
+        denied = denials > _SURELY
+        if line.partners is not None:  # what is surely seen of one light of a group is denied to all of them
+            denied = line.partners.total(denied.astype(np.float64)) > 0
         choice = choose(
             mass,
-            self._contradiction[types],
+            self._contradiction.take(types, axis=0),
             denied,
             said,
             self._change_odds[types, said],
@@ -259,7 +330,8 @@ class TimedStates:
         reports.probability[rows] = choice.probability
         reports.doubtful[rows] = choice.doubtful
         reports.go_held[rows] = choice.go_held
-        reports.shares[rows] = np.concatenate([block.joined for block in self._blocks]) >= 0
+        if line.partners is not None:
+            reports.shares[rows] = np.concatenate([block.joined for block in self._blocks]) >= 0
         reports.disputed[:] = self._disputes.disputed
         return reports
 
@@ -348,7 +420,7 @@ class TimedStates:
             beliefs = np.array(layers, dtype=np.float64).reshape(len(layers), len(rows), *own_filter.first.shape)
             joined = np.array(saved["joined"], dtype=np.int64)
             blocks.append(BeliefBlock(own_filter, rows, self._groups[rows], joined, beliefs))
-        self._blocks = blocks
+        self._replace(dict(enumerate(blocks)))
 
     def _first_reports(self) -> Reports:
         """What is said of a light of each type before anybody has looked: it is not to be acted upon."""
@@ -365,6 +437,3 @@ class TimedStates:
             shares=nowhere,
             disputed=nowhere,
         )
-
-    def _fresh(self, t: int, rows: IntArray) -> BeliefBlock:
-        return BeliefBlock.fresh(self._models[t].filter, rows, self._groups[rows])
