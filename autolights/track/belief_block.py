@@ -1,7 +1,9 @@
-"""The beliefs of all tracks of one type in one array, and who of them shares evidence with whom."""
+"""The beliefs of all tracks of one type in one array, and who of all tracks shares evidence with whom."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -103,3 +105,36 @@ class BeliefBlock:
         if together.any():
             layers.append(share(self.own, shared, self.joined, joined, self.filter.chain.initial))
         return replace(self, joined=joined, beliefs=np.stack(layers))
+
+
+@dataclass(eq=False)
+class LineUp:
+    """The m tracks of which something is remembered, block by block.
+
+    Attributes:
+        rows: (m,) of the track table.
+        slices: Of each block.
+        mates: Who is of one group on the map; None if no two are.
+        may_join: (m,) who may share evidence with its mates.
+        partners: Who does; None if nobody.
+    """
+
+    rows: IntArray
+    slices: tuple[slice, ...]
+    mates: Partners | None
+    may_join: BoolArray
+    partners: Partners | None
+
+    @classmethod
+    def of(cls, blocks: Sequence[BeliefBlock]) -> Self:
+        """The tracks of these blocks; who may join is not known yet."""
+        bounds = np.cumsum([0, *map(len, blocks)]).tolist()
+        groups, joined = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("groups", "joined"))
+        grouped = np.sort(groups[groups >= 0])
+        return cls(
+            rows=np.concatenate([block.rows for block in blocks]),
+            slices=tuple(slice(*bound) for bound in pairwise(bounds)),
+            mates=Partners.of(groups) if (grouped[1:] == grouped[:-1]).any() else None,
+            may_join=joined >= 0,
+            partners=Partners.of(joined) if any(block.shares for block in blocks) else None,
+        )

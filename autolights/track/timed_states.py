@@ -1,98 +1,26 @@
-"""Mode ``timed``: the beliefs of all tracks of a type are one array, moved through time and updated at once."""
+"""Mode ``timed``: what is believed of all tracks, moved through time, updated and read by arrays, type by type."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, Self
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, SignalSet
 from autolights.track.appearance_filter import (
-    AppearanceFilter,
     LookReader,
     leading_pairs,
     miss_likelihood,
     seen_likelihood,
 )
-from autolights.track.belief_block import BeliefBlock
+from autolights.track.belief_block import BeliefBlock, LineUp
 from autolights.track.config import TrackConfig
-from autolights.track.hidden_chain import HiddenChain
-from autolights.track.outcomes import Outcomes, choose
-from autolights.track.signal_groups import GroupDisputes, Partners
+from autolights.track.outcomes import choose
+from autolights.track.signal_groups import GroupDisputes
 from autolights.track.states import Looks, Reports
+from autolights.track.type_model import TypeModel
 
-_MISSED = "missed"
 _SURELY = 0.5  # how far the highest level of certainty is reached
-
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """All that is fixed about a type."""
-
-    states: tuple[str, ...]
-    filter: AppearanceFilter
-    outcomes: Outcomes
-    class_membership: FloatArray  # (K, k)
-    appearances: IntArray  # (c,) among those of the type with most states
-    appearance_names: tuple[str, ...]  # (c,)
-
-    @classmethod
-    def of(cls, name: str, signals: SignalSet, params: HmmParameters, widest: int, config: TrackConfig) -> Self:
-        levels = params.certainty.levels
-        chain = HiddenChain.of(
-            name,
-            signals,
-            params,
-            stages=config.dwell_stages,
-            odd_changes_per_hour=config.odd_changes_per_hour,
-        )
-        outcomes = Outcomes.of(name, signals, params, chain)
-        k = len(params.states)
-        return cls(
-            states=params.states,
-            filter=AppearanceFilter.of(chain, params, error_duration_s=config.error_duration_s),
-            outcomes=outcomes,
-            class_membership=np.eye(len(params.states))[chain.class_of],
-            appearances=np.append(np.add.outer(widest * np.arange(levels), np.arange(k)), levels * widest),
-            appearance_names=(
-                *(f"{state}, certainty {i + 1} of {levels}" for i in range(levels) for state in params.states),
-                _MISSED,
-            ),
-        )
-
-
-@dataclass(eq=False)
-class _LineUp:
-    """The m tracks of which something is remembered, block by block.
-
-    Attributes:
-        rows: (m,) of the track table.
-        slices: Of each block.
-        mates: Who is of one group on the map; None if no two are.
-        may_join: (m,) who may share evidence with its mates.
-        partners: Who does; None if nobody.
-    """
-
-    rows: IntArray
-    slices: tuple[slice, ...]
-    mates: Partners | None
-    may_join: BoolArray
-    partners: Partners | None
-
-    @classmethod
-    def of(cls, blocks: Sequence[BeliefBlock]) -> Self:
-        """The tracks of these blocks; who may join is not known yet."""
-        bounds = np.cumsum([0, *map(len, blocks)]).tolist()
-        groups, joined = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("groups", "joined"))
-        grouped = np.sort(groups[groups >= 0])
-        return cls(
-            rows=np.concatenate([block.rows for block in blocks]),
-            slices=tuple(slice(*bound) for bound in pairwise(bounds)),
-            mates=Partners.of(groups) if (grouped[1:] == grouped[:-1]).any() else None,
-            may_join=joined >= 0,
-            partners=Partners.of(joined) if any(block.shares for block in blocks) else None,
-        )
 
 
 class TimedStates:
@@ -107,7 +35,7 @@ class TimedStates:
     def __init__(self, signals: SignalSet, hmm: Mapping[str, HmmParameters], config: TrackConfig) -> None:
         self._config = config
         widest = max(len(params.states) for params in hmm.values())
-        self._models = [_Model.of(name, signals, hmm[name], widest, config) for name in signals.types]
+        self._models = [TypeModel.of(name, signals, hmm[name], widest, config) for name in signals.types]
         count, outcomes = len(self._models), [model.outcomes for model in self._models]
         most = max(len(own.names) for own in outcomes)
         self._contradiction = np.zeros((count, most, most))
@@ -137,7 +65,7 @@ class TimedStates:
         self._said: IntArray = np.empty(0, dtype=np.int64)  # outcome that was reported last, −1 for none
         nobody: IntArray = np.empty(0, dtype=np.int64)
         self._blocks = [BeliefBlock.fresh(model.filter, nobody, nobody) for model in self._models]
-        self._line: _LineUp | None = None
+        self._line: LineUp | None = None
         self._now_ms: int | None = None
 
     def append(self, types: IntArray, groups: IntArray) -> None:
@@ -252,7 +180,7 @@ class TimedStates:
                     factors = telling, model.filter.seconds(vectors)
             block.update(likelihood[here].take(model.appearances, axis=1), factors)
 
-    def _second_classes(self, surest: FloatArray, looked: BoolArray, line: _LineUp) -> tuple[BoolArray, FloatArray]:
+    def _second_classes(self, surest: FloatArray, looked: BoolArray, line: LineUp) -> tuple[BoolArray, FloatArray]:
         """(m,) of whom the two leading classes are others than before, and (m, k) probabilities of its type's classes.
 
         While the leading two stay, they say nothing new.
@@ -266,9 +194,9 @@ class TimedStates:
         self._pairs[rows] = pairs
         return (pairs >= 0) & (pairs != before), leading
 
-    def _line_up(self) -> _LineUp:
+    def _line_up(self) -> LineUp:
         if self._line is None:
-            self._line = _LineUp.of(self._blocks)
+            self._line = LineUp.of(self._blocks)
         return self._line
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
@@ -343,41 +271,12 @@ class TimedStates:
         if not len(slots):
             return {"belief": None}
         slot = int(slots[0])
-        belief = block.told[slot]
-        state, chain = belief.sum(axis=0), model.filter.chain
-        told = {
-            "belief": dict(zip(model.states, np.round(state @ model.class_membership, 4).tolist(), strict=True)),
-            "outcomes": {
-                name.class_name + (", flashing" if name.flashing else ""): round(float(mass), 4)
-                for name, mass in zip(model.outcomes.names, state @ model.outcomes.membership, strict=True)
-            },
-            "appearance": dict(
-                zip(
-                    model.appearance_names,
-                    np.round(belief.sum(axis=1), 4).tolist(),
-                    strict=True,
-                )
-            ),
-        }
-        phase = int(np.bincount(chain.phase_of, state).argmax())
-        stages = state[chain.phase_of == phase]
-        told["dwell"] = {
-            "phase": model.states[chain.phases[phase].class_index]
-            + (" of a flash" if chain.phases[phase].pair is not None else ""),
-            "min_s": round(chain.phases[phase].min_s, 3),
-            "passed": round(float(stages @ np.arange(len(stages)) / stages.sum() / max(len(stages) - 1, 1)), 3),
-        }
+        told = model.explain(block.told[slot])
         if self._groups[row] >= 0:
             told["group"] = {
                 "shares": bool(block.joined[slot] >= 0),
                 "disputed": bool(self._disputes.disputed[row]),
-                "own_belief": dict(
-                    zip(
-                        model.states,
-                        np.round(block.own[slot].sum(axis=0) @ model.class_membership, 4).tolist(),
-                        strict=True,
-                    )
-                ),
+                "own_belief": model.explain(block.own[slot])["belief"],
             }
         return told
 

@@ -13,6 +13,8 @@ from autolights.track import TrackConfig, TrackManager
 from autolights.track.association import Association
 from autolights.track.observation import CameraObservation
 from autolights.track.projection import ProjectedLights
+from autolights.track.states import Looks
+from autolights.track.timed_states import TimedStates
 
 AHEAD = (40.0, 2.0, 5.0)
 
@@ -152,3 +154,28 @@ def test_a_light_out_of_sight_for_long_is_born_anew(make_scene: Callable) -> Non
     assert [light.withheld for light in anew] == [True, False]
     assert anew[1].probability == pytest.approx(scene.step(fresh, 10.4)[0].probability)
     assert at_once.probability != pytest.approx(anew[1].probability)
+
+
+@pytest.mark.parametrize("forgotten", [0, 1])
+def test_what_is_remembered_of_one_of_two_tracks_is_kept_when_they_become_one(
+    make_scene: Callable, forgotten: int
+) -> None:
+    scene = make_scene({})
+    states = TimedStates(scene.signals, scene.hmm, TrackConfig())
+    states.append(np.zeros(2, dtype=np.int64), np.full(2, -1))
+    probs = np.full((2, len(scene.signals.classes)), 0.01)
+    probs[[0, 1], [scene.signals.class_ids[name] for name in ("3-red", "3-green")]] = 0.9
+    nobody = np.empty(0, dtype=np.int64)
+    states.let_time_pass(0)
+    states.take_in([Looks(np.arange(2), probs, np.full(2, 30.0), nobody)])
+    alive = np.arange(2) != forgotten
+    states.end_set(alive, ~alive)
+    known = states.explain(1 - forgotten)["belief"]
+    assert states.explain(forgotten) == {"belief": None}
+    assert states.report().doubtful[forgotten]
+
+    states.take_over(0, 1)
+    states.keep(np.array([0]))
+
+    assert states.explain(0)["belief"] == known
+    assert states.report().class_ids[0] == scene.signals.class_ids["3-green" if forgotten == 0 else "3-red"]
