@@ -188,7 +188,8 @@ class TimedStates:
         rows = line.rows
         padded = np.zeros((len(rows), self._class_count + 1))
         padded[:, :-1] = surest.take(rows, axis=0)
-        leading = np.take_along_axis(padded, self._reader.columns.take(self._types.take(rows), axis=0), axis=1)
+        first_columns = padded.shape[1] * np.arange(len(rows))[:, None]
+        leading = padded.take(self._reader.columns.take(self._types.take(rows), axis=0) + first_columns)
         pairs = np.where(looked.take(rows), leading_pairs(leading), -1)
         before, self._pairs = self._pairs.take(rows), np.full(len(looked), -1)
         self._pairs[rows] = pairs
