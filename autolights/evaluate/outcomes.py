@@ -1,7 +1,7 @@
 """What became of each light in each camera frame of a run: the rows from which every figure is counted."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ class LightOutcome:
         drive: Name of the drive.
         camera: Of the frame.
         stamp_ns: Of the frame.
-        truth: The light.
+        truth: The light; in variant ``full`` with the state that the set's latest image of it shows.
         estimate: What was reported about it, withheld or not; None if nothing was.
     """
 
@@ -249,10 +249,12 @@ def _score_lights(
 ) -> None:
     matched_lights: set[str] = set()
     matched_estimates: set[int] = set()
-    for frame in frames:
+    ordered = sorted(frames, key=lambda frame: frame[1])
+    latest = {light.truth_id: light for frame in ordered for light in (*scene.labelled[frame], *scene.others[frame])}
+    for frame in ordered:
         labelled = scene.labelled[frame]
         matches = match_lights(labelled, estimates, scene.map_ids)
-        rows.outcomes += _rows(scene, frame, matches, estimates)
+        rows.outcomes += _rows(scene, frame, matches, estimates, latest)
         matched_lights |= {labelled[i].truth_id for i in matches}
         matched_estimates |= set(matches.values())
     if not frames:
@@ -264,13 +266,26 @@ def _score_lights(
     _add_false(scene, rows, stamp_ns, [estimate for j, estimate in enumerate(left) if j not in excused])
 
 
+def _as_in(light: TruthLight, latest: TruthLight) -> TruthLight:
+    """A light with the state that it has in the set's latest image of it: the set speaks of that instant."""
+    if light.class_name == latest.class_name and light.flashing == latest.flashing:
+        return light
+    return replace(light, class_name=latest.class_name, lit_class=latest.lit_class, flashing=latest.flashing)
+
+
 def _rows(
-    scene: _Scene, frame: tuple[str, int], matches: dict[int, int], estimates: Sequence[LightEstimate]
+    scene: _Scene,
+    frame: tuple[str, int],
+    matches: dict[int, int],
+    estimates: Sequence[LightEstimate],
+    latest: Mapping[str, TruthLight] | None = None,
 ) -> list[LightOutcome]:
     camera, stamp_ns = frame
+    labelled = scene.labelled[frame]
+    truths = labelled if latest is None else [_as_in(light, latest[light.truth_id]) for light in labelled]
     return [
         LightOutcome(scene.name, camera, stamp_ns, light, estimates[matches[i]] if i in matches else None)
-        for i, light in enumerate(scene.labelled[frame])
+        for i, light in enumerate(truths)
     ]
 
 

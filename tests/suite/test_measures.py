@@ -83,6 +83,24 @@ def test_who_knows_the_truth_reaches_everything(drive: SuiteDrive) -> None:
     assert of.skipped == 2
 
 
+def test_a_set_is_held_against_its_latest_image(suite: SuiteConfig) -> None:
+    """The second camera exposes 60 ms later; what changes in between is news that the set already has."""
+    longer = suite.scenarios["plain"].model_copy(update={"duration_s": 40.0, "occlusions_per_minute": 0.0})
+    cameras = tuple(camera.model_copy(update={"stamp_offset_ms": 60.0 * i}) for i, camera in enumerate(suite.cameras))
+    changes = {"scenarios": {"plain": longer}, "cameras": cameras, "stamp_jitter_ms": 0.0}
+    drive = build_drive(suite.model_copy(update=changes), "plain", 0)
+    between = 0
+    for frames in drive.sets:
+        first, second = ({light.truth_id: light for light in drive.truth[f.camera, f.stamp_ns].lights} for f in frames)
+        between += sum(first[name].class_name != second[name].class_name for name in first.keys() & second.keys())
+
+    of = figures(follow(drive, lambda report: report))
+
+    assert between > 0
+    assert of.accuracy.percent == 100
+    assert of.unsafe.count == of.flickers == 0
+
+
 def test_one_set_late_costs_one_frame(drive: SuiteDrive) -> None:
     of = figures(follow(drive, lambda report: report, late_sets=1))
     assert of.transition_frames.median == of.transition_frames.p95 == 1
