@@ -115,19 +115,19 @@ class LineUp:
         rows: (m,) of the track table.
         slices: Of each block.
         mates: Who is of one group on the map; None if no two are.
-        may_join: (m,) who may share evidence with its mates.
+        may_join: (m,) who may share evidence with its mates; None while nobody has asked.
         partners: Who does; None if nobody.
     """
 
     rows: IntArray
     slices: tuple[slice, ...]
     mates: Partners | None
-    may_join: BoolArray
+    may_join: BoolArray | None
     partners: Partners | None
 
     @classmethod
     def of(cls, blocks: Sequence[BeliefBlock]) -> Self:
-        """The tracks of these blocks; who may join is not known yet."""
+        """The tracks of these blocks."""
         bounds = np.cumsum([0, *map(len, blocks)]).tolist()
         groups, joined = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("groups", "joined"))
         grouped = np.sort(groups[groups >= 0])
@@ -135,6 +135,6 @@ class LineUp:
             rows=np.concatenate([block.rows for block in blocks]),
             slices=tuple(slice(*bound) for bound in pairwise(bounds)),
             mates=Partners.of(groups) if (grouped[1:] == grouped[:-1]).any() else None,
-            may_join=joined >= 0,
+            may_join=None,
             partners=Partners.of(joined) if any(block.shares for block in blocks) else None,
         )

@@ -1,8 +1,8 @@
 """The numbers of tracking: birth, death, memory, and how far the detector's errors hang together."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from autolights.core.config import Config
 
@@ -56,3 +56,12 @@ class TrackConfig(Config):
     history_size: int = Field(default=64, ge=1)
     history_s: float = Field(default=4.0, ge=0)
     box_sigma_px: float = Field(default=1.5, gt=0)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.mode == "timed" and self.state_memory_s < self.max_coast_s:
+            raise ValueError(
+                f"state_memory_s must be at least max_coast_s ({self.max_coast_s:g}), got {self.state_memory_s:g}: "
+                "what is still acted upon must not be forgotten"
+            )
+        return self

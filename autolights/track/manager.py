@@ -161,8 +161,7 @@ class TrackManager:
         # A light of the map keeps its own belief, which its group may share; else the latest is heard.
         mapped = [row for row in ordered if table.map_rows[row] >= 0]
         source = mapped[0] if mapped else max(ordered, key=lambda row: int(table.last_seen_ns[row]))
-        if source != first:
-            self._states.take_over(first, source)
+        self._states.merge(first, last, source)
         table.absorb(first, last)
         self._keep(np.delete(np.arange(len(table)), last))
         self._unmapped_rows = np.flatnonzero(table.map_rows < 0)

@@ -168,8 +168,8 @@ class PaperStates:
         for row, t in zip(rows.tolist(), types.tolist(), strict=True):
             self._types[row], self._beliefs[row] = t, self._models[t].params.initial
 
-    def take_over(self, row: int, source: int) -> None:
-        """Two tracks of one type are one light: the first gets what is believed of the second."""
+    def merge(self, row: int, other: int, source: int) -> None:
+        """Two tracks of one type are one light: the first gets what is believed of `source`."""
         self._beliefs[row], self._histories[row] = self._beliefs[source], self._histories[source]
 
     def let_time_pass(self, stamp_ns: int) -> None:

@@ -138,9 +138,8 @@ class GroupDisputes:
         since_ms = np.where(odd, np.where(since_ms < 0, now_ms, since_ms), since_ms)
         since_ms[~judged | (same > _AGREE)] = -1
         self._since_ms[rows] = since_ms
-        self.disputed[rows] = np.where(
-            odd, now_ms - since_ms >= self._after_ms, self.disputed.take(rows) & ~(judged & (same > _AGREE))
-        )
+        agreed, long_odd = judged & (same > _AGREE), odd & (now_ms - since_ms >= self._after_ms)
+        self.disputed[rows] = (self.disputed.take(rows) & ~agreed) | long_odd
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered."""

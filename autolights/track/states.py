@@ -63,8 +63,12 @@ class LightStates(Protocol):
     def start_anew(self, rows: IntArray, types: IntArray) -> None:
         """Forget what is known of some tracks' states; they may have other types now."""
 
-    def take_over(self, row: int, source: int) -> None:
-        """Two tracks of one type are one light: the first gets what is believed of the second, its group too."""
+    def merge(self, row: int, other: int, source: int) -> None:
+        """Two tracks of one type are one light, and the first stays.
+
+        It gets the group of `source`, one of the two, and what is believed of that; where nothing is remembered of it,
+        what is believed of the other one.
+        """
 
     def let_time_pass(self, stamp_ns: int) -> None:
         """Predict to the stamp of a set of frames."""

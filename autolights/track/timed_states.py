@@ -20,6 +20,7 @@ from autolights.track.signal_groups import GroupDisputes
 from autolights.track.states import Looks, Reports
 from autolights.track.type_model import TypeModel
 
+_TIE = 1e-6  # of probability
 _SURELY = 0.5  # how far the highest level of certainty is reached
 
 
@@ -108,21 +109,21 @@ class TimedStates:
             fresh = BeliefBlock.fresh(self._models[t].filter, own, self._groups[own])
             self._replace({t: self._blocks[t].join(fresh)})
 
-    def take_over(self, row: int, source: int) -> None:
-        """Two tracks of one type are one light: the first gets what is believed of the second, its group too."""
+    def merge(self, row: int, other: int, source: int) -> None:
+        """Two tracks of one type are one light: see `LightStates.merge`."""
+        group = self._groups[row] = self._groups[source]
         t = int(self._types[row])
         block = self._blocks[t]
-        self._groups[row] = self._groups[source]
-        if source not in block.rows:  # nothing is remembered of it
-            groups = np.where(block.rows == row, self._groups[source], block.groups)
-            self._replace({t: replace(block, groups=groups)})
+        heard, *doubled = [one for one in (source, row + other - source) if one in block.rows] or [-1]
+        if heard < 0:
             return
-        kept = block.take(block.rows != row)
-        kept.rows[kept.rows == source] = row
-        self._replace({t: kept.take(np.argsort(kept.rows))})
+        kept = block.take(~np.isin(block.rows, doubled))
+        rows = np.where(kept.rows == heard, row, kept.rows)
+        merged = replace(kept, rows=rows, groups=np.where(rows == row, group, kept.groups))
+        self._replace({t: merged.take(rows.argsort())})
         for column in (self._looked, self._said, self._pairs):
-            column[row] = column[source]
-        self._disputes.take_over(row, source)
+            column[row] = column[heard]
+        self._disputes.take_over(row, heard)
 
     def let_time_pass(self, stamp_ns: int) -> None:
         """Predict to the stamp of a set of frames."""
@@ -206,20 +207,28 @@ class TimedStates:
         if np.count_nonzero(over.take(self._line_up().rows)):
             self._replace({t: block.take(~over.take(block.rows)) for t, block in enumerate(self._blocks)})
         line = self._line_up()
-        if line.mates is None or not self._config.share_groups:
+        if not self._config.share_groups or (line.mates is None and line.partners is None):
             return
+        lives, looked = alive.take(line.rows), self._looked.take(line.rows)
+        may_join = lives & False
+        if line.mates is not None:
+            self._disputes.judge(line.rows, line.mates, self._class_beliefs(line), lives & looked, self._now_ms or 0)
+            may_join = lives & ~self._disputes.disputed.take(line.rows)
+        if line.may_join is not None and np.array_equal(may_join, line.may_join):
+            return
+        together = may_join
+        if line.mates is not None:
+            together = may_join & (line.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
+        self._replace({t: self._blocks[t].share_among(together[here]) for t, here in enumerate(line.slices)})
+        self._line_up().may_join = may_join
+
+    def _class_beliefs(self, line: LineUp) -> FloatArray:
+        """(m, k) belief in each class of its type, from what was seen of each light itself."""
         beliefs = np.zeros((len(line.rows), self._reader.columns.shape[1]))
         for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
             if len(block):
                 beliefs[here, : len(model.states)] = model.filter.states(block.own) @ model.class_membership
-        lives = alive.take(line.rows)
-        self._disputes.judge(line.rows, line.mates, beliefs, lives & self._looked.take(line.rows), self._now_ms or 0)
-        may_join = lives & ~self._disputes.disputed.take(line.rows)
-        if np.array_equal(may_join, line.may_join):
-            return
-        together = may_join & (line.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
-        self._replace({t: self._blocks[t].share_among(together[here]) for t, here in enumerate(line.slices)})
-        self._line_up().may_join = may_join
+        return beliefs
 
     def _replace(self, blocks: Mapping[int, BeliefBlock]) -> None:
         """Blocks of these types have other tracks now, or share otherwise."""
@@ -268,16 +277,13 @@ class TimedStates:
         """Belief in each class, each outcome, the stage of its phase, and how the detector sees the light."""
         t = int(self._types[row])
         model, block = self._models[t], self._blocks[t]
-        slots = np.flatnonzero(block.rows == row)
-        if not len(slots):
-            return {"belief": None}
-        slot = int(slots[0])
-        told = model.explain(block.told[slot])
+        slots = np.flatnonzero(block.rows == row).tolist()
+        told: dict[str, Any] = model.explain(block.told[slots[0]]) if slots else {"belief": None}
         if self._groups[row] >= 0:
             told["group"] = {
-                "shares": bool(block.joined[slot] >= 0),
+                "shares": bool(slots) and bool(block.joined[slots[0]] >= 0),
                 "disputed": bool(self._disputes.disputed[row]),
-                "own_belief": model.explain(block.own[slot])["belief"],
+                "own_belief": model.explain(block.own[slots[0]])["belief"] if slots else None,
             }
         return told
 
@@ -326,12 +332,14 @@ class TimedStates:
         """What is said of a light of each type before anybody has looked: it is not to be acted upon."""
         count = len(self._models)
         mass = [model.filter.chain.initial @ model.outcomes.membership for model in self._models]
-        likely = np.array([own.argmax() for own in mass])
+        # Of things equally probable, rather one that stops somebody.
+        go = [model.outcomes.contradiction.any(axis=1) for model in self._models]
+        likely = np.array([(own - _TIE * says_go).argmax() for own, says_go in zip(mass, go, strict=True)])
         nowhere = np.zeros(count, dtype=bool)
         return Reports(
             class_ids=self._said_class_ids[np.arange(count), likely],
             flashing=self._said_flashing[np.arange(count), likely],
-            probability=np.array([own.max() for own in mass]),
+            probability=np.array([own[best] for own, best in zip(mass, likely.tolist(), strict=True)]),
             doubtful=~nowhere,
             go_held=nowhere,
             shares=nowhere,

@@ -91,8 +91,9 @@ class AugmentConfig(Config):
         scale: Whole images are scaled by 1 ± this; crops have their own range.
         translate: Whole images are moved by up to this share of the input, either way.
         flip: Probability of a horizontal flip where each class in view has a mirror class.
-        flip_vertical: Probability of turning the picture upside down where each class in view is its own mirror class;
-            for photos that are met so.
+        flip_vertical: Probability of turning the picture upside down where each class in view is its own mirror class.
+            For photos that are met so, as some collections hold them, and classes whose lamps are told by colour: a
+            straight arrow is its own mirror class too.
         mosaic: Probability that four whole images are put together.
         blur: Probability of a Gaussian blur.
         blur_sigma_px: Its range.

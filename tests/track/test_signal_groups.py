@@ -7,7 +7,7 @@ import pytest
 
 from autolights.core import TrafficLightMap
 from autolights.pipeline import PipelineConfig
-from autolights.track.signal_groups import Partners, group_numbers, share
+from autolights.track.signal_groups import GroupDisputes, Partners, group_numbers, share
 
 TIMES = np.arange(60) / 10
 PLACES = [(40.0, y, 5.0) for y in (2.0, -1.0, 5.0)]
@@ -67,6 +67,37 @@ def test_lights_that_contradict_each_other_share_no_more(make_scene: Callable) -
     for track in pipeline.explain()["tracks"]:
         assert track["group"]["disputed"], "it is said, and not averaged away"
         assert not track["group"]["shares"]
+
+
+def test_a_dispute_outlasts_a_set_in_which_one_is_not_seen() -> None:
+    disputes, rows, mates = GroupDisputes(after_s=1.0), np.arange(2), Partners.of(np.array([7, 7]))
+    disputes.append(2)
+    odd, agreed = np.eye(2), np.array([[0.9, 0.1], [0.9, 0.1]])
+    both, one = np.ones(2, dtype=bool), np.array([True, False])
+    said = []
+    for now_ms, beliefs, seen in (
+        (0, odd, both),
+        (1000, odd, both),
+        (1100, odd, one),
+        (1200, odd, both),
+        (1300, agreed, one),
+        (1400, agreed, both),
+    ):
+        disputes.judge(rows, mates, beliefs, seen, now_ms)
+        said.append(bool(disputes.disputed.all()))
+    assert said == [False, True, True, True, True, False]
+
+
+def test_who_has_lost_all_mates_shares_no_more(make_scene: Callable) -> None:
+    lights = {"a": ("3", PLACES[0], lambda t: "3-red"), "b": ("3", PLACES[1], lambda t: "3-red" if t < 1 else None)}
+    scene = make_scene(lights, groups=True, speed_mps=0)
+    pipeline = scene.pipeline()
+    shares = []
+    for t in TIMES[:45]:
+        scene.step(pipeline, float(t))
+        shares.append(next(x["group"]["shares"] for x in pipeline.explain()["tracks"] if x["map_id"] == "a"))
+    assert shares[9]
+    assert not shares[-1], "b is dead"
 
 
 def test_they_share_again_once_they_agree(make_scene: Callable) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from autolights.core import Detections, load_config
 from autolights.core.errors import DataError
@@ -122,7 +123,10 @@ def look_at(manager: TrackManager, scene: object, t: float, places: np.ndarray) 
 def test_memory_is_bounded_however_many_lights_pass(make_scene: Callable) -> None:
     scene = make_scene({})
     manager = TrackManager(
-        scene.map, scene.signals, scene.hmm, TrackConfig(birth_hits=1, max_tracks=20, state_memory_s=0.15)
+        scene.map,
+        scene.signals,
+        scene.hmm,
+        TrackConfig(birth_hits=1, max_tracks=20, max_coast_s=0.15, state_memory_s=0.15),
     )
     rng = np.random.default_rng(0)
     sizes = []
@@ -156,9 +160,10 @@ def test_a_light_out_of_sight_for_long_is_born_anew(make_scene: Callable) -> Non
     assert at_once.probability != pytest.approx(anew[1].probability)
 
 
+@pytest.mark.parametrize("source", [0, 1])
 @pytest.mark.parametrize("forgotten", [0, 1])
 def test_what_is_remembered_of_one_of_two_tracks_is_kept_when_they_become_one(
-    make_scene: Callable, forgotten: int
+    make_scene: Callable, forgotten: int, source: int
 ) -> None:
     scene = make_scene({})
     states = TimedStates(scene.signals, scene.hmm, TrackConfig())
@@ -174,8 +179,31 @@ def test_what_is_remembered_of_one_of_two_tracks_is_kept_when_they_become_one(
     assert states.explain(forgotten) == {"belief": None}
     assert states.report().doubtful[forgotten]
 
-    states.take_over(0, 1)
+    states.merge(0, 1, source)
     states.keep(np.array([0]))
 
     assert states.explain(0)["belief"] == known
     assert states.report().class_ids[0] == scene.signals.class_ids["3-green" if forgotten == 0 else "3-red"]
+
+
+def test_a_dead_light_of_the_map_lives_on_in_a_track_that_is_the_same(make_scene: Callable) -> None:
+    lights = {
+        "a": ("3", AHEAD, lambda t: "3-red" if t < 1 else None),
+        "new": ("3", (40.0, -2.0, 5.0), lambda t: "3-red"),
+    }
+    scene = make_scene(lights, off_map=frozenset({"new"}), speed_mps=0)
+    pipeline = scene.pipeline()
+    for t in np.arange(40) / 10:
+        told = scene.step(pipeline, t)
+    assert [(light.map_id, light.withheld) for light in told] == [("a", True), (None, False)]
+    manager = pipeline._tracks
+    assert manager._states.explain(0)["belief"] is None
+
+    assert manager.merge(-1 - told[1].track_id, 0) == 0
+
+    assert manager._states.explain(0)["belief"]["3-red"] > 0.9
+
+
+def test_what_is_acted_upon_is_not_forgotten() -> None:
+    with pytest.raises(ValidationError, match=r"state_memory_s must be at least max_coast_s \(2\), got 1"):
+        TrackConfig(state_memory_s=1.0)

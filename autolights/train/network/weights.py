@@ -151,6 +151,8 @@ def transfer(model: YoloV5, state: dict[str, Tensor], classes: Sequence[str]) ->
     """
     own = model.state_dict()
     fitting = {name: tensor for name, tensor in state.items() if name in own and own[name].shape == tensor.shape}
+    if classes and tuple(classes) != model.classes:  # as many, but others: rows go by name
+        fitting = {name: tensor for name, tensor in fitting.items() if not name.startswith(_HEAD)}
     if _ANCHORS in state and _ANCHORS not in fitting:
         # Levels have one order, so those of the shorter list are the common ones.
         common = state[_ANCHORS][: len(own[_ANCHORS])]

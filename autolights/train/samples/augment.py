@@ -109,7 +109,7 @@ def may_flip(class_ids_in_view: IntArray, mirrors: IntArray) -> bool:
 
 
 def may_turn_over(class_ids_in_view: IntArray, mirrors: IntArray) -> bool:
-    """Whether each class in view is its own mirror class: a ball, upside down, is a ball; an arrow is no arrow."""
+    """Whether each class in view is its own mirror class, as balls are; arrows that point left or right never are."""
     return bool((mirrors[class_ids_in_view] == class_ids_in_view).all())
 
 

@@ -164,6 +164,16 @@ def test_transfer_reports_what_does_not_fit(tmp_path):
     torch.testing.assert_close(target.model[23].cv3.conv.weight, source.model[23].cv3.conv.weight.half().float())
 
 
+def test_as_many_classes_by_other_names_are_other_classes(tmp_path):
+    source, target = YoloV5("n", 3, ["car", "ball", "bus"]), YoloV5("n", 3, ["bus", "ball", "arrow"])
+
+    report = start_from(target, str(save_own(tmp_path / "other.pt", source)))
+
+    assert str(report).startswith("343 of 349 tensors loaded; box, objectness and classes of like name alone")
+    theirs, ours = (model.model[24].m[0].bias.view(3, -1) for model in (source, target))
+    torch.testing.assert_close(ours[:, :7], theirs[:, [0, 1, 2, 3, 4, 7, 6]].half().float())
+
+
 def test_a_level_more_or_less_keeps_what_is_common(tmp_path):
     published, fine = YoloV5("n", 2), YoloV5("n", 2, strides=FINE_STRIDES)
     published.set_anchors(torch.full((3, 3, 2), 40.0))
