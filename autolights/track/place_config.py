@@ -21,8 +21,7 @@ class PlaceConfig(Config):
         decorrelation_s: or so many seconds where the vehicle stands.
         drift_deg: How far a mounting wanders in a minute.
         drift_m: How far the constant error of the poses wanders in a minute.
-        every_s: Images of a camera that follow sooner say nothing new of a light's place, and neither do those of a
-            vehicle that hardly moves (a fifth of the way or time of decorrelation).
+        every_s: Images of a camera that follow sooner say nothing new of a light's place.
         projected_sigmas: Lights of the map are looked for where the images showed them, but no farther from their place
             in the map than so many times `map_m`; 0 looks for them where the map has them.
     """

@@ -15,7 +15,6 @@ References:
     adjustment (Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", Sec. 6).
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,7 +31,6 @@ _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by i
 _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hidden heads
 _VAGUE_M = 100.0  # an unmapped light can be anywhere
 _NEVER_NS = -(2**62)
-_LEAST_NEWS = 0.2  # share of the way and time after which errors are others: before that an image says hardly anything
 _SETTLED_S = 10.0  # a light that is not seen for so long has told all it has to tell of the shared errors
 _COLUMNS = (
     "positions",
@@ -76,7 +74,6 @@ class LightPlaces:
         self._last_places: FloatArray = np.empty((0, c, 3))
         self._active: BoolArray = np.empty(0, dtype=bool)
         self._camera_ns = [_NEVER_NS] * c
-        self._camera_places: FloatArray = np.zeros((c, 3))
         self._unsettled = False
         sigmas = np.full(size - LIGHT, np.radians(config.rotation_deg))
         sigmas[:POSE] = config.position_m
@@ -239,7 +236,6 @@ class LightPlaces:
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
             "camera_ns": self._camera_ns,
-            "camera_places": self._camera_places.tolist(),
         }
 
     def restore(self, values: dict[str, Any]) -> None:
@@ -263,7 +259,6 @@ class LightPlaces:
         self._shared_information, self._shared_vector = information, vector
         self._shared, self._shared_covariance = shared, covariance
         self._shared_ns, self._camera_ns = values["shared_ns"], list(values["camera_ns"])
-        self._camera_places = np.array(values["camera_places"], dtype=np.float64).reshape(-1, 3)
 
     def _prior(self, *, on_map: bool) -> FloatArray:
         """(4, 4) information about a light before anything is seen of it."""
@@ -325,13 +320,9 @@ class LightPlaces:
         due = self._last_ns.take(rows * len(self._cameras) + np.array(numbers).take(images)) == _NEVER_NS
         for image in np.bincount(images).nonzero()[0].tolist():
             number, stamp_ns = numbers[image], shots.poses[image].stamp_ns
-            elapsed_s, place = abs(stamp_ns - self._camera_ns[number]) / 1e9, shots.vehicle[image]
-            if elapsed_s < self._config.every_s:
-                continue
-            way_m = math.dist(place.tolist(), self._camera_places[number].tolist())
-            if way_m / self._config.decorrelation_m + elapsed_s / self._config.decorrelation_s >= _LEAST_NEWS:
+            if abs(stamp_ns - self._camera_ns[number]) >= self._config.every_s * 1e9:
                 due |= images == image
-                self._camera_ns[number], self._camera_places[number] = stamp_ns, place
+                self._camera_ns[number] = stamp_ns
         return np.asarray(due)
 
     def _expected(
