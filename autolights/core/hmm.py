@@ -43,7 +43,6 @@ class Certainty:
                     f"certainty.{name} must hold {self.levels} probabilities that sum to 1, one more than thresholds, "
                     f"got {list(probs)}"
                 )
-
         if not 0 <= self.second_if_wrong <= 1:
             raise ValueError(f"certainty.second_if_wrong must lie in [0, 1], got {self.second_if_wrong}")
 

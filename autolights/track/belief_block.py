@@ -114,14 +114,16 @@ class LineUp:
     Attributes:
         rows: (m,) of the track table.
         slices: Of each block.
-        mates: Who is of one group on the map; None if no two are.
+        mates: Who is of one group on the map.
+        grouped: Whether any two are.
         may_join: (m,) who may share evidence with its mates; None while nobody has asked.
         partners: Who does; None if nobody.
     """
 
     rows: IntArray
     slices: tuple[slice, ...]
-    mates: Partners | None
+    mates: Partners
+    grouped: bool
     may_join: BoolArray | None
     partners: Partners | None
 
@@ -130,11 +132,12 @@ class LineUp:
         """The tracks of these blocks."""
         bounds = np.cumsum([0, *map(len, blocks)]).tolist()
         groups, joined = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("groups", "joined"))
-        grouped = np.sort(groups[groups >= 0])
+        mates = Partners.of(groups)
         return cls(
             rows=np.concatenate([block.rows for block in blocks]),
             slices=tuple(slice(*bound) for bound in pairwise(bounds)),
-            mates=Partners.of(groups) if (grouped[1:] == grouped[:-1]).any() else None,
+            mates=mates,
+            grouped=len(mates.starts) < len(groups),
             may_join=None,
             partners=Partners.of(joined) if any(block.shares for block in blocks) else None,
         )

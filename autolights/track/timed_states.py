@@ -207,18 +207,14 @@ class TimedStates:
         if np.count_nonzero(over.take(self._line_up().rows)):
             self._replace({t: block.take(~over.take(block.rows)) for t, block in enumerate(self._blocks)})
         line = self._line_up()
-        if not self._config.share_groups or (line.mates is None and line.partners is None):
+        if not self._config.share_groups or (not line.grouped and line.partners is None):
             return
         lives, looked = alive.take(line.rows), self._looked.take(line.rows)
-        may_join = lives & False
-        if line.mates is not None:
-            self._disputes.judge(line.rows, line.mates, self._class_beliefs(line), lives & looked, self._now_ms or 0)
-            may_join = lives & ~self._disputes.disputed.take(line.rows)
+        self._disputes.judge(line.rows, line.mates, self._class_beliefs(line), lives & looked, self._now_ms or 0)
+        may_join = lives & ~self._disputes.disputed.take(line.rows)
         if line.may_join is not None and np.array_equal(may_join, line.may_join):
             return
-        together = may_join
-        if line.mates is not None:
-            together = may_join & (line.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
+        together = may_join & (line.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
         self._replace({t: self._blocks[t].share_among(together[here]) for t, here in enumerate(line.slices)})
         self._line_up().may_join = may_join
 
