@@ -1,6 +1,8 @@
 """An ONNX Runtime session that was checked against the description of its model."""
 
+import io
 from collections.abc import Sequence
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,10 +15,13 @@ from autolights.core.model_guard import read_model
 from autolights.infer.ports import Port, check_ports
 
 CPU = "CPUExecutionProvider"
+CUDA = "CUDAExecutionProvider"
 # Where the memory of a provider's own tensors is; all others work on the host's.
-_DEVICES = {"CUDAExecutionProvider": "cuda", "TensorrtExecutionProvider": "cuda"}
+_DEVICES = {CUDA: "cuda", "TensorrtExecutionProvider": "cuda"}
+# Convolutions are chosen by cuDNN's advice: to try them all takes most of a second for each shape, and gains nothing.
+_CUDA_OPTIONS = {"cudnn_conv_algo_search": "HEURISTIC"}
 _PACKAGES = {
-    "CUDAExecutionProvider": "onnxruntime-gpu, CUDA and cuDNN",
+    CUDA: "onnxruntime-gpu, CUDA and cuDNN",
     "TensorrtExecutionProvider": "onnxruntime-gpu, CUDA and TensorRT",
     "OpenVINOExecutionProvider": "onnxruntime-openvino; or choose the backend 'openvino'",
 }
@@ -94,9 +99,14 @@ class OnnxSession:
             options.add_session_config_entry("session.intra_op.spin_duration_us", str(spin_us))
         if threads is not None:
             options.intra_op_num_threads = threads
+        if any(name in _DEVICES for name in wanted):
+            _preload_cuda()
         data = read_model(model_path, sha256)
+        self._device = _DEVICES.get(wanted[0], "cpu")
+        bound = self.on_gpu if io_binding is None else io_binding
+        fixed = not (info.dynamic_batch or info.dynamic_size)
         try:
-            self._session = onnxruntime.InferenceSession(data, options, providers=wanted)
+            self._session = _start(data, options, _settings(wanted, info), one_launch=bound and fixed)
         except Exception as error:  # ONNX Runtime has a class of its own for each kind of damage
             raise DataError(f"{model_path}: ONNX Runtime cannot read it ({_first_line(error)})") from error
         # One that cannot be started (a library or driver is missing) is silently left out.
@@ -109,8 +119,6 @@ class OnnxSession:
             model_path,
             info,
         )
-        self._device = _DEVICES.get(wanted[0], "cpu")
-        bound = self.on_gpu if io_binding is None else io_binding
         self._binding = _Binding(self._session, self._input_name, self._output_names, self._device) if bound else None
 
     @property
@@ -134,6 +142,7 @@ class _Binding:
         self._session = session
         self._input_name = input_name
         self._output_names = output_names
+        self._outputs = {node.name: _port(node) for node in session.get_outputs()}
         self._device = device
         self._binding = session.io_binding()
         self._input: Any = None
@@ -149,10 +158,49 @@ class _Binding:
         self._input = onnxruntime.OrtValue.ortvalue_from_shape_and_type(list(blob.shape), blob.dtype, self._device, 0)
         self._binding.clear_binding_inputs()
         self._binding.bind_ortvalue_input(self._input_name, self._input)
-        # The first run makes the outputs on the device; the binding holds them, and later runs write into them.
         self._binding.clear_binding_outputs()
         for name in self._output_names:
-            self._binding.bind_output(name, self._device)
+            port = self._outputs[name]
+            if None in port.shape:
+                # The first run makes it on the device; the binding holds it, and later runs write into it.
+                self._binding.bind_output(name, self._device)
+            else:  # a recorded run writes where it wrote when it was recorded
+                value = onnxruntime.OrtValue.ortvalue_from_shape_and_type(
+                    list(port.shape), np.dtype(port.dtype), self._device, 0
+                )
+                self._binding.bind_ortvalue_output(name, value)
+
+
+def _settings(providers: Sequence[str], info: ModelInfo) -> list[tuple[str, dict[str, str]]]:
+    """Providers with their options."""
+    cuda = dict(_CUDA_OPTIONS)
+    if info.precision != "fp16":
+        # Else CUDA rounds what convolutions multiply to ten bits (TF32): a thousandth of a probability. The option
+        # forbids all tensor cores, so a model in halves, which is meant for them, does not get it.
+        cuda["use_tf32"] = "0"
+    return [(name, cuda if name == CUDA else {}) for name in providers]
+
+
+def _start(
+    model: bytes, options: onnxruntime.SessionOptions, settings: list[tuple[str, dict[str, str]]], *, one_launch: bool
+) -> onnxruntime.InferenceSession:
+    """Load a model; where inputs and outputs stay where they are, CUDA records a run and launches it as one.
+
+    To launch some hundred kernels one by one takes longer than a small network's arithmetic.
+    """
+    (preferred, of_preferred), *others = settings
+    if one_launch and preferred == CUDA:
+        recorded = [(CUDA, {**of_preferred, "enable_cuda_graph": "1"}), *others]
+        with suppress(Exception):  # it refuses a graph with nodes that CUDA has no kernel for
+            return onnxruntime.InferenceSession(model, options, providers=recorded, enable_fallback=0)
+    return onnxruntime.InferenceSession(model, options, providers=settings)
+
+
+def _preload_cuda() -> None:
+    """Load CUDA and cuDNN from where pip has put them; the system's loader does not look there."""
+    if hasattr(onnxruntime, "preload_dlls"):  # from 1.21 on
+        with redirect_stdout(io.StringIO()):  # it prints what it does not find, which may be in the system's folders
+            onnxruntime.preload_dlls()
 
 
 def _port(node: Any) -> Port:
