@@ -50,11 +50,11 @@ def exported(model, image, folder, form):
 
 
 def assert_same_lights(found, wanted, info):
-    """To what halves or TF32 leave of a box and a probability."""
+    """To what halves leave of a probability, or another order of sums."""
     assert len(wanted) >= 6
     a, b = match_boxes(found.boxes_xyxy, wanted.boxes_xyxy, iou_threshold=0.8)
     assert len(a) == len(found) == len(wanted)
-    tolerance = 0.05 if info.precision == "fp16" else 0.01
+    tolerance = 0.05 if info.precision == "fp16" else 0.001
     np.testing.assert_allclose(found.objectness[a], wanted.objectness[b], atol=tolerance)
     np.testing.assert_allclose(found.class_probs[a], wanted.class_probs[b], atol=tolerance)
 
@@ -79,7 +79,7 @@ def test_cuda_provider_keeps_nothing_of_the_last_call(cuda_provider, base, stree
 
     for shape in [(1, 3, 192, 320), (1, 3, 192, 320), (3, 3, 96, 128), (1, 3, 192, 320)]:
         blob = random.random(shape, dtype=np.float32)
-        np.testing.assert_allclose(on_gpu.run(blob)[0][..., 4:], on_cpu.run(blob)[0][..., 4:], atol=0.01)
+        np.testing.assert_allclose(on_gpu.run(blob)[0][..., 4:], on_cpu.run(blob)[0][..., 4:], atol=0.001)
 
 
 def test_memory_of_the_gpu(gpu):
