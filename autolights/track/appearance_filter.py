@@ -14,108 +14,153 @@ A new look says as much as an independent one; its repetition says little. A lig
 another class, in doubt, has hardly changed: the view of it has. As ρ → 0, with one level and class vectors taken as
 they are, this is the paper's filter with C from B under a uniform prior.
 
-Beliefs are arrays (..., c, K): c = L k + 1 appearances (each class seen with the least certainty, ..., with the most,
-missed) and K hidden states.
+Beliefs are arrays (m, l, c, K): m lights in the order of their types; l beliefs about each, from its own looks and from
+those of its group; c = L k + 1 appearances (each class seen with the least certainty, ..., with the most, missed); K
+hidden states. c and K are those of the type that has most; where another has fewer, they are 0.
 
 References:
     Wu et al. 2023, Sec. III-D; for emissions that depend on the last one: Murphy 2012, ch. 17.6 (autoregressive HMMs).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
 
 from autolights.core import FloatArray, HmmParameters, IntArray
-from autolights.core.errors import UsageError
 from autolights.track.hidden_chain import HiddenChain
+from autolights.track.look_reader import SHARPNESS
 from autolights.track.signal_groups import Partners
 
-_SLIP = 1e-3  # how often one look shows something else than the appearance, within the same instant
-_SHARPNESS = 4.0  # power of a class vector: an appearance is what the detector says most, and a tie is one
 _CACHED = 64  # frame times
 _NEVER = 1e-300  # of a state, and of what is seen in it
 _LOST = 1e-6  # of the sum of a belief, beyond which the model calls what was seen impossible
-_FLOOR = 1e-9  # of what other classes get together
-_LEVEL_WIDTH = 0.15  # of log odds, over which a level becomes the next: a look between them is not two looks by turns
-_ALONE = 0.02  # how often a camera errs by itself while another one does not
 _SECOND_MOST = 0.95  # of P(the truth comes second | wrong): the road is no validation set
-_DISSENT = 0.5  # power of what the confidence of a camera that dissents is worth, as it counts in each set anew
+
+
+@dataclass(frozen=True, eq=False)
+class LightsByType:
+    """m lights in the order of their types, and what an `AppearanceFilter` has of the type of each.
+
+    Attributes:
+        types: (m,) ascending.
+        slices: Each type that there is, and where its lights are.
+        initial: (m, K) belief in each hidden state before any look.
+        first: (m, c, K) belief at first sight.
+        found: (m, 1, L + 1, K) P(level | hidden state), "missed" last.
+        shares: (m, 1, c, K) P(appearance | its level, hidden state).
+    """
+
+    types: IntArray
+    slices: tuple[tuple[int, slice], ...]
+    initial: FloatArray
+    first: FloatArray
+    found: FloatArray
+    shares: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class AppearanceFilter:
-    """The filter of one type.
+    """The filters of t types.
 
     Attributes:
-        chain: K hidden states.
-        looks: (c, K) P(appearance | hidden state).
+        chains: t, of the hidden states.
         error_duration_s: How long an appearance lasts; 0 draws it anew for each look.
-        first: (c, K) belief at first sight.
-        confusable: (k, k) what comes second, where the detector is right: `[i, j]` as often as i is taken for j.
-        second_if_wrong: P(the true class comes second | another one leads); 0 lets it say nothing.
+        looks: (t, c, K) P(appearance | hidden state).
+        first: (t, c, K) belief at first sight.
+        second_if_wrong: (t,) P(the true class comes second | another one leads); 0 lets it say nothing.
+        confusable: (t, k, k) what comes second, where the detector is right: `[i, j]` as often as i is taken for j.
     """
 
-    chain: HiddenChain
-    looks: FloatArray
+    chains: tuple[HiddenChain, ...]
     error_duration_s: float
+    looks: FloatArray
     first: FloatArray
+    second_if_wrong: FloatArray
     confusable: FloatArray
-    second_if_wrong: float
+    _initial: FloatArray  # (t, K)
+    _class_counts: FloatArray  # (t,)
+    _class_of: IntArray  # (t, K) class of each hidden state
     _every: FloatArray  # (c,) ones
     _ones: FloatArray  # (L + 1, c) which appearances are of a level, "missed" last
     _level_of: IntArray  # (c,) the same as numbers
-    _found: FloatArray  # (L + 1, K) P(level | hidden state)
-    _shares: FloatArray  # (c, K) P(appearance | its level, hidden state)
+    _found: FloatArray  # (t, L + 1, K)
+    _shares: FloatArray  # (t, c, K)
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, chain: HiddenChain, params: HmmParameters, *, error_duration_s: float) -> Self:
-        """Build the filter.
+    def of(cls, chains: Sequence[HiddenChain], params: Sequence[HmmParameters], *, error_duration_s: float) -> Self:
+        """Build the filters.
 
         Args:
-            chain: Hidden states.
-            params: B, P(missed | state), and how often the detector is sure.
+            chains: Hidden states of each type.
+            params: B, P(missed | state), and how often the detector is sure; as many levels of certainty for each.
             error_duration_s: Of an appearance.
         """
-        seen = params.observation.T * (1 - params.miss_probs)  # (k seen, k states)
-        certainty, right = params.certainty, np.eye(len(seen), dtype=bool)
-        levels = zip(certainty.if_right, certainty.if_wrong, strict=True)
-        of_levels = [seen * np.where(right, if_right, if_wrong) for if_right, if_wrong in levels]
-        looks = np.concatenate([*of_levels, params.miss_probs[None]])[:, chain.class_of]
-        k = len(params.states)
-        by_level = looks[:-1].reshape(certainty.levels, k, len(chain))
-        found = by_level.sum(axis=1, keepdims=True)
-        if_level = np.divide(by_level, found, out=np.zeros_like(by_level), where=found > 0)
+        t, levels = len(chains), params[0].certainty.levels
+        k, states = max(len(own.states) for own in params), max(map(len, chains))
+        c = levels * k + 1
+        looks, initial = np.zeros((t, levels, k, states)), np.zeros((t, states))
+        missed, confusable = np.zeros((t, states)), np.zeros((t, k, k))
+        class_of = np.zeros((t, states), dtype=np.int64)
+        for i, (chain, own) in enumerate(zip(chains, params, strict=True)):
+            count, right = len(own.states), np.eye(len(own.states), dtype=bool)
+            seen = own.observation.T * (1 - own.miss_probs)  # (k seen, k states)
+            for level, (if_right, if_wrong) in enumerate(
+                zip(own.certainty.if_right, own.certainty.if_wrong, strict=True)
+            ):
+                of_level = seen * np.where(right, if_right, if_wrong)
+                looks[i, level, :count, : len(chain)] = of_level[:, chain.class_of]
+            missed[i, : len(chain)] = own.miss_probs[chain.class_of]
+            initial[i, : len(chain)], class_of[i, : len(chain)] = chain.initial, chain.class_of
+            errors = own.observation * ~right
+            total = errors.sum(axis=1, keepdims=True)
+            confusable[i, :count, :count] = np.divide(
+                errors, total, out=np.full_like(errors, 1 / max(count - 1, 1)), where=total > 0
+            )
+        found = looks.sum(axis=2, keepdims=True)
+        if_level = np.divide(looks, found, out=np.zeros_like(looks), where=found > 0)
+        all_looks = np.concatenate([looks.reshape(t, c - 1, states), missed[:, None]], axis=1)
         # Rows of ones sum over appearances faster than a reduction along the middle axis.
-        ones = np.zeros((certainty.levels + 1, len(looks)))
-        ones[:-1, :-1], ones[-1, -1] = np.kron(np.eye(certainty.levels), np.ones(k)), 1.0
-        errors = params.observation * ~right
-        total = errors.sum(axis=1, keepdims=True)
-        confusable = np.divide(errors, total, out=np.full_like(errors, 1 / max(k - 1, 1)), where=total > 0)
-        second = min(certainty.second_if_wrong, _SECOND_MOST)
-        first, every = looks * chain.initial, np.ones(len(looks))
-        shares = np.concatenate([if_level.reshape(-1, len(chain)), np.ones((1, len(chain)))])
+        ones = np.zeros((levels + 1, c))
+        ones[:-1, :-1], ones[-1, -1] = np.kron(np.eye(levels), np.ones(k)), 1.0
         return cls(
-            chain,
-            looks,
-            error_duration_s,
-            first,
-            confusable,
-            second,
-            _every=every,
+            chains=tuple(chains),
+            error_duration_s=error_duration_s,
+            looks=all_looks,
+            first=all_looks * initial[:, None],
+            second_if_wrong=np.array([min(own.certainty.second_if_wrong, _SECOND_MOST) for own in params]),
+            confusable=confusable,
+            _initial=initial,
+            _class_counts=np.array([float(len(own.states)) for own in params]),
+            _class_of=class_of,
+            _every=np.ones(c),
             _ones=ones,
             _level_of=ones.argmax(axis=0),
-            _found=ones @ looks,
-            _shares=shares,
+            _found=ones @ all_looks,
+            _shares=np.concatenate([if_level.reshape(t, c - 1, states), np.ones((t, 1, states))], axis=1),
         )
 
-    def predict(self, beliefs: FloatArray, duration_ms: int) -> FloatArray:
+    def lights(self, types: IntArray) -> LightsByType:
+        """Lights of these (m,) types, ascending."""
+        bounds = np.searchsorted(types, np.arange(len(self.chains) + 1)).tolist()
+        return LightsByType(
+            types,
+            tuple((t, slice(*bound)) for t, bound in enumerate(pairwise(bounds)) if bound[0] < bound[1]),
+            self._initial.take(types, axis=0),
+            self.first.take(types, axis=0),
+            self._found.take(types, axis=0)[:, None],
+            self._shares.take(types, axis=0)[:, None],
+        )
+
+    def predict(self, beliefs: FloatArray, lights: LightsByType, duration_ms: int) -> FloatArray:
         """Let time pass.
 
         Args:
-            beliefs: (n, c, K).
+            beliefs: (m, l, c, K).
+            lights: Whose they are.
             duration_ms: Since they were made.
         """
         step = self._steps.get(duration_ms)
@@ -124,113 +169,111 @@ class AppearanceFilter:
                 del self._steps[next(iter(self._steps))]
             step = self._steps[duration_ms] = self._step(duration_ms)
         rho, both, stay = step
-        n, c, k = beliefs.shape
+        m, layers, _, k = beliefs.shape
+        sums = self._ones @ beliefs
+        moved, by_level = np.empty_like(beliefs), np.empty((m, layers, len(self._ones), 2 * k))
         # One product for all lights and appearances costs less than one for each light; that of "missed" is not used.
-        moved = (beliefs.reshape(n * c, k) @ stay).reshape(n, c, k)
-        # By level, "missed" last: A, then ρ (A − S).
-        by_level = ((self._ones @ beliefs).reshape(-1, k) @ both).reshape(n, -1, 2 * k)
-        after = by_level[:, :, :k]
-        fresh = (1 - rho) * np.add.reduce(after, axis=1)
-        drawn = fresh[:, None] * self._found
-        drawn[:, :-1] += by_level[:, :-1, k:]
-        looks = drawn.take(self._level_of, axis=1)
-        looks *= self._shares
+        for t, here in lights.slices:
+            np.matmul(beliefs[here].reshape(-1, k), stay[t], out=moved[here].reshape(-1, k))
+            np.matmul(sums[here].reshape(-1, k), both[t], out=by_level[here].reshape(-1, 2 * k))
+        after = by_level[..., :k]  # by level, "missed" last: A, then ρ (A − S)
+        fresh = (1 - rho) * np.add.reduce(after, axis=2)
+        drawn = fresh[:, :, None] * lights.found
+        drawn[:, :, :-1] += by_level[:, :, :-1, k:]
+        looks = drawn.take(self._level_of, axis=2)
+        looks *= lights.shares
         moved += looks
-        moved[:, -1] = rho * after[:, -1] + drawn[:, -1]
+        moved[:, :, -1] = rho * after[:, :, -1] + drawn[:, :, -1]
         return moved
 
     def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray]:
-        """ρ, A and ρ (A − S) side by side, and ρ S."""
-        change, stay = self.chain.over(duration_ms)
+        """ρ, and of each type A and ρ (A − S) side by side, and ρ S."""
         rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
-        return rho, np.concatenate([change, rho * (change - stay).clip(min=0)], axis=1), rho * stay
+        k = self.first.shape[2]
+        both, stays = np.zeros((len(self.chains), k, 2 * k)), np.zeros((len(self.chains), k, k))
+        for t, chain in enumerate(self.chains):
+            own = slice(len(chain))
+            change, stay = chain.over(duration_ms)
+            both[t, own, own] = change
+            both[t, own, k : k + len(chain)] = rho * (change - stay).clip(min=0)
+            stays[t, own, own] = rho * stay
+        return rho, both, stays
 
-    def seconds(self, class_probs: FloatArray) -> FloatArray:
+    def seconds(self, class_probs: FloatArray, types: IntArray) -> FloatArray:
         """What the class says that comes second: after an error it is mostly the truth.
 
         Args:
-            class_probs: (m, k) of the type's classes.
+            class_probs: (j, k) of the classes of each light's type; 0 where it has fewer.
+            types: (j,) of the lights.
 
         Returns:
-            (m, c, K) factors of the likelihood, one for all appearances but those of the leading class.
+            (j, c, K) factors of the likelihood, one for all appearances but those of the leading class.
         """
-        m, k = class_probs.shape
-        every, lead = np.arange(m), class_probs.argmax(axis=1)
-        shares = class_probs**_SHARPNESS
+        j, k = class_probs.shape
+        every, lead = np.arange(j), class_probs.argmax(axis=1)
+        count, wrong = self._class_counts.take(types)[:, None], self.second_if_wrong.take(types)[:, None]
+        shares = class_probs**SHARPNESS
         shares[every, lead] = 0.0
-        total = shares.sum(axis=1, keepdims=True)
-        shares = np.divide(shares, total, out=np.full_like(shares, 1 / max(k - 1, 1)), where=total > 0)
-        by_class = self.second_if_wrong * shares + (1 - self.second_if_wrong) * (1 - shares) / max(k - 2, 1)
-        by_class[every, lead] = (shares * self.confusable[lead]).sum(axis=1)
-        factors = np.ones((m, *self.first.shape))
-        for level in range(len(self._ones) - 1):
-            factors[every, level * k + lead] = by_class.take(self.chain.class_of, axis=1)
+        total = np.add.reduce(shares, axis=1, keepdims=True)
+        shares = np.where(total > 0, shares / np.maximum(total, _NEVER), 1 / np.maximum(count - 1, 1))
+        by_class = wrong * shares + (1 - wrong) * (1 - shares) / np.maximum(count - 2, 1)
+        by_class[every, lead] = np.add.reduce(shares * self.confusable[types, lead], axis=1)
+        factors = np.ones((j, *self.first.shape[1:]))
+        of_state = by_class.take(self._class_of.take(types, axis=0) + k * every[:, None])
+        factors[every, k * np.arange(len(self._ones) - 1)[:, None] + lead] = of_state
         return factors
 
     def update(
-        self, beliefs: FloatArray, likelihood: FloatArray, factors: tuple[IntArray, FloatArray] | None = None
+        self,
+        beliefs: FloatArray,
+        lights: LightsByType,
+        likelihood: FloatArray,
+        partners: Partners | None = None,
+        seconds: tuple[IntArray, FloatArray] | None = None,
     ) -> FloatArray:
         """Take in what cameras saw at one instant.
 
+        The first belief about a light is from its own looks. In the second one, what is seen of a light is evidence for
+        all of its group, which show the same state; appearances are each light's own and, given the state, taken as
+        independent.
+
         Args:
-            beliefs: (n, c, K).
-            likelihood: (n, c) of each appearance, the product over cameras; ones say nothing.
-            factors: Lights whose second class says something new, and (…, c, K) what (`seconds`).
+            beliefs: (m, 1 or 2, c, K); of the second, the sums over appearances are equal within a group.
+            lights: Whose they are.
+            likelihood: (m, c) of each appearance, the product over cameras; ones say nothing.
+            partners: Which lights form a group; needed for second beliefs.
+            seconds: Rows of lights whose second class says something new, and (j, c, K) what (`seconds`).
 
         Returns:
-            (n, c, K). Where the model calls a look impossible, it is believed as at first sight.
+            (m, 1 or 2, c, K). Where the model calls a look impossible, it is believed as at first sight.
         """
-        posterior = self.weigh(beliefs, likelihood, factors)
-        self.settle(posterior, likelihood)
+        posterior = beliefs * likelihood[:, None, :, None]
+        if seconds is not None:
+            posterior[seconds[0]] *= seconds[1][:, None]
+        self._settle(posterior[:, 0], lights, likelihood)
+        if partners is not None and beliefs.shape[1] > 1:
+            self._settle_together(beliefs[:, 1], posterior[:, 1], lights, partners)
         return posterior
 
-    def weigh(
-        self, beliefs: FloatArray, likelihood: FloatArray, factors: tuple[IntArray, FloatArray] | None
-    ) -> FloatArray:
-        """(..., n, c, K) beliefs times what cameras saw, as in `update`; they do not sum to 1 yet."""
-        posterior = beliefs * likelihood[:, :, None]
-        if factors is not None:
-            posterior[..., factors[0], :, :] *= factors[1]
-        return posterior
+    def states(self, beliefs: FloatArray) -> FloatArray:
+        """(m, K) belief in each hidden state, whatever it looks like, of (m, c, K)."""
+        return np.asarray(self._every @ beliefs)
 
-    def settle(self, posterior: FloatArray, likelihood: FloatArray) -> None:
-        """Make (n, c, K) products of `weigh` sum to 1 in place; where nothing is left, start as at first sight."""
+    def _settle(self, posterior: FloatArray, lights: LightsByType, likelihood: FloatArray) -> None:
+        """Make (m, c, K) beliefs sum to 1 in place; where nothing is left, start as at first sight."""
         mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
         if np.count_nonzero(mass) < len(mass):
             lost = mass == 0
-            posterior[lost] = self.first * likelihood[lost][:, :, None]
-            mass = posterior.sum(axis=(1, 2))
-            posterior[mass == 0] = self.first
+            posterior[lost] = lights.first[lost] * likelihood[lost][:, :, None]
+            lost = posterior.sum(axis=(1, 2)) == 0
+            posterior[lost] = lights.first[lost]
             mass = posterior.sum(axis=(1, 2))
         posterior /= mass[:, None, None]
 
-    def states(self, beliefs: FloatArray) -> FloatArray:
-        """(n, K) belief in each hidden state, whatever it looks like."""
-        return np.asarray(self._every @ beliefs)
-
-    def update_together(
-        self,
-        beliefs: FloatArray,
-        likelihood: FloatArray,
-        partners: Partners,
-        factors: tuple[IntArray, FloatArray] | None = None,
-    ) -> FloatArray:
-        """`update` for lights of which some show the same state: what is seen of one is evidence for all of its group.
-
-        Appearances are each light's own and, given the state, taken as independent.
-
-        Args:
-            beliefs: (n, c, K); within a group the sums over appearances are equal.
-            likelihood: (n, c).
-            partners: Which lights form a group.
-            factors: As in `update`.
-        """
-        posterior = self.weigh(beliefs, likelihood, factors)
-        self.settle_together(beliefs, posterior, partners)
-        return posterior
-
-    def settle_together(self, beliefs: FloatArray, posterior: FloatArray, partners: Partners) -> None:
-        """`settle` for lights that share evidence: (n, c, K) `posterior` is what `weigh` made of `beliefs`."""
+    def _settle_together(
+        self, beliefs: FloatArray, posterior: FloatArray, lights: LightsByType, partners: Partners
+    ) -> None:
+        """The same for lights that share evidence; `beliefs` are those of before."""
         before, after = self.states(beliefs), self.states(posterior)
         evidence = partners.total(np.log(np.maximum(after / np.maximum(before, _NEVER), _NEVER)))
         state = before * np.exp(evidence - np.maximum.reduce(evidence, axis=1, keepdims=True))
@@ -239,128 +282,5 @@ class AppearanceFilter:
         posterior *= factor[:, None, :]
         lost = np.abs(np.add.reduce(after * factor, axis=1) - 1) > _LOST
         if np.count_nonzero(lost):
-            posterior[partners.total(lost[:, None].astype(np.float64))[:, 0] > 0] = self.first
-
-
-@dataclass(frozen=True, eq=False)
-class LookReader:
-    """How to read the class vectors of lights of mixed types.
-
-    Attributes:
-        columns: (t, k) for each type the columns of a class vector that are its states; C where it has fewer than k.
-        scale: (t, k) by which a class's probability is multiplied: what many states are taken for says less.
-        temperature: (t,) by which log probabilities are divided, so that they mean what they say.
-        thresholds: (t, L − 1) log odds of the calibrated probability from which each level begins.
-        dissent: (t, L) chance that a camera of that level of certainty errs alone.
-    """
-
-    columns: IntArray
-    scale: FloatArray
-    temperature: FloatArray
-    thresholds: FloatArray
-    dissent: FloatArray
-
-    @classmethod
-    def of(cls, params: Sequence[HmmParameters], class_ids: Mapping[str, int]) -> Self:
-        """For these types, in this order.
-
-        Raises:
-            UsageError: If they do not tell equally many levels of certainty apart.
-        """
-        k, levels = max(len(own.states) for own in params), {own.certainty.levels for own in params}
-        if len(levels) > 1:
-            raise UsageError(f"all types must tell equally many levels of certainty apart, got {sorted(levels)}")
-        columns, scale = np.full((len(params), k), len(class_ids)), np.zeros((len(params), k))
-        for t, own in enumerate(params):
-            columns[t, : len(own.states)] = [class_ids[name] for name in own.states]
-            total = own.observation.sum(axis=0)
-            scale[t, : len(own.states)] = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-        thresholds = np.array([own.certainty.thresholds for own in params]).reshape(len(params), -1)
-        worth = np.array([own.certainty.if_wrong for own in params]) / np.maximum(
-            np.array([own.certainty.if_right for own in params]), 1e-6
-        )
-        return cls(
-            columns,
-            scale,
-            np.array([own.temperature for own in params]),
-            np.log(thresholds / (1 - thresholds)),
-            _ALONE * np.minimum(worth, 1.0) ** _DISSENT,
-        )
-
-    @property
-    def levels(self) -> int:
-        """How many levels of certainty are told apart."""
-        return int(self.dissent.shape[1])
-
-    def read(
-        self, class_probs: FloatArray, types: IntArray, *, sharpness: float = _SHARPNESS
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Read what one camera's detector says.
-
-        Args:
-            class_probs: (m, C) of all classes; a row that is zero on its type's classes says nothing of the class.
-            types: (m,) index of each light's type.
-            sharpness: Power of the calibrated class vector.
-
-        Returns:
-            (m, k) likelihood of each class being seen, (m, L − 1, k) how far each higher level of certainty is reached
-            if that is what the detector sees, and (m,) the chance that it errs alone. Of several cameras at one
-            instant, the product of the first, each plus its third, and the maximum of the second: they share most
-            errors, but who is sure is seldom wrong.
-        """
-        m, class_count = class_probs.shape
-        calibrated = class_probs
-        if np.count_nonzero(self.temperature != 1):
-            calibrated = class_probs ** (1 / self.temperature[types])[:, None]
-        padded = np.zeros((m, class_count + 1))
-        padded[:, :-1] = calibrated
-        own = padded.take(self.columns.take(types, axis=0) + (class_count + 1) * np.arange(m)[:, None])
-        best = np.maximum.reduce(own, axis=1, keepdims=True)
-        rest = np.add.reduce(calibrated, axis=1, keepdims=True) - best
-        silent = best == 0
-        speechless = np.count_nonzero(silent)
-        if speechless:
-            own, best, rest = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, rest)
-        below = (self.thresholds.take(types, axis=0) - np.log(best / np.maximum(rest, _FLOOR))) / _LEVEL_WIDTH
-        reached = 1 / (1 + np.exp(np.minimum(np.maximum(below, -30), 30)))
-        if speechless:
-            reached = np.where(silent, np.arange(self.levels - 1, 0, -1) / self.levels, reached)
-        alone = (self.dissent.take(types, axis=0) * _levels(reached)).sum(axis=1)
-        said = np.asarray((own / best) ** sharpness * self.scale.take(types, axis=0))
-        return said, reached[:, :, None] * (own == best)[:, None, :], alone
-
-
-def leading_pairs(class_probs: FloatArray) -> IntArray:
-    """(m,) a number for the leading and the second of (m, k) classes."""
-    every, lead = np.arange(len(class_probs)), class_probs.argmax(axis=1)
-    rest = class_probs.copy()
-    rest[every, lead] = -1.0
-    return np.asarray(lead * class_probs.shape[1] + rest.argmax(axis=1))
-
-
-def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:
-    """(m, L k + 1) likelihood of each appearance of lights that were seen, from what all cameras said.
-
-    Args:
-        said: (m, k) of each class.
-        reached: (m, L − 1, k) how far each level of certainty but the lowest is reached.
-    """
-    levels = _levels(reached)
-    slip = np.full((len(said), 1), _SLIP)
-    count, k = said.shape
-    return np.concatenate([(levels * said[:, None, :]).reshape(count, levels.shape[1] * k), slip], axis=1)
-
-
-def _levels(reached: FloatArray) -> FloatArray:
-    """(m, L, ...) how far each level of certainty is the one, from how far each but the lowest is reached."""
-    shares = np.empty((len(reached), reached.shape[1] + 1, *reached.shape[2:]))
-    shares[:, 0], shares[:, 1:] = 1.0, reached
-    shares[:, :-1] -= reached
-    return shares
-
-
-def miss_likelihood(state_count: int, levels: int) -> FloatArray:
-    """(L k + 1,) likelihood of each appearance for a light that was looked for in vain."""
-    likelihood = np.full(levels * state_count + 1, _SLIP)
-    likelihood[-1] = 1.0
-    return likelihood
+            lost = partners.total(lost[:, None].astype(np.float64))[:, 0] > 0
+            posterior[lost] = lights.first[lost]

@@ -31,7 +31,7 @@ from autolights.track.states import LightStates, Looks, Reports
 from autolights.track.timed_states import TimedStates
 from autolights.track.track_table import TrackTable
 
-STATE_FORMAT = 2
+STATE_FORMAT = 3
 _VIEW = partial(tuple.__new__, CameraView)  # a third of the time of a call with names
 _MOVED_M = 0.01  # a light of the index is placed anew once it is this far from where it stands there
 

@@ -40,7 +40,7 @@ def share(
         shared: (n, c, K) from its group until now; None if there was none.
         before: (n,) group until now; negative for none.
         after: (n,) from now on.
-        initial: (K,) belief in each hidden state before anything was seen, positive.
+        initial: (n, K) belief in each hidden state before anything was seen; 0 where a light's type has none.
     """
     fresh = own.copy()
     for group in np.unique(after[after >= 0]):
@@ -50,8 +50,10 @@ def share(
             fresh[old] = shared[old]
             state = shared[old[0]].sum(axis=0)
         else:
-            evidence = np.log(np.maximum(own[members].sum(axis=1), _NEVER) / initial).sum(axis=0)
-            state = initial * np.exp(evidence - evidence.max())
+            before_all = initial[members[0]]
+            told = np.maximum(own[members].sum(axis=1), _NEVER) / np.where(before_all > 0, before_all, 1.0)
+            evidence = np.log(told).sum(axis=0)
+            state = before_all * np.exp(evidence - evidence.max())
             state /= state.sum()
         for slot in np.setdiff1d(members, old):
             marginal = own[slot].sum(axis=0)

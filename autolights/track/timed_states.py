@@ -1,24 +1,19 @@
 """Mode ``timed``: what is believed of all tracks, moved through time, updated and read by arrays, type by type."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from autolights.core import BoolArray, FloatArray, HmmParameters, IntArray, SignalSet
-from autolights.track.appearance_filter import (
-    LookReader,
-    leading_pairs,
-    miss_likelihood,
-    seen_likelihood,
-)
-from autolights.track.belief_block import BeliefBlock, LineUp
+from autolights.track.appearance_filter import AppearanceFilter
+from autolights.track.beliefs import Beliefs
 from autolights.track.config import TrackConfig
+from autolights.track.look_reader import LookReader, leading_pairs, miss_likelihood, seen_likelihood
 from autolights.track.outcomes import choose
 from autolights.track.signal_groups import GroupDisputes
 from autolights.track.states import Looks, Reports
-from autolights.track.type_model import TypeModel
+from autolights.track.type_model import OutcomeTables, TypeModel
 
 _TIE = 1e-6  # of probability
 _SURELY = 0.5  # how far the highest level of certainty is reached
@@ -35,38 +30,26 @@ class TimedStates:
 
     def __init__(self, signals: SignalSet, hmm: Mapping[str, HmmParameters], config: TrackConfig) -> None:
         self._config = config
-        widest = max(len(params.states) for params in hmm.values())
-        self._models = [TypeModel.of(name, signals, hmm[name], widest, config) for name in signals.types]
-        count, outcomes = len(self._models), [model.outcomes for model in self._models]
-        most = max(len(own.names) for own in outcomes)
-        self._contradiction = np.zeros((count, most, most))
-        self._change_odds = np.ones((count, most, most))
-        self._said_class_ids, self._said_flashing = (
-            np.zeros((count, most), dtype=np.int64),
-            np.zeros((count, most), bool),
+        params = [hmm[name] for name in signals.types]
+        self._widest = max(len(own.states) for own in params)
+        self._reader = LookReader.of(params, signals.class_ids)
+        self._missed = miss_likelihood(self._widest, self._reader.levels)
+        self._models = [TypeModel.of(name, signals, hmm[name], config) for name in signals.types]
+        self._filter = AppearanceFilter.of(
+            [model.chain for model in self._models], params, error_duration_s=config.error_duration_s
         )
-        for t, own in enumerate(outcomes):
-            g = len(own.names)
-            self._contradiction[t, :g, :g] = own.contradiction
-            said_again = np.eye(g, dtype=bool)
-            self._change_odds[t, :g, :g] = np.where(said_again | own.stops_flashing, 1.0, config.change_odds)
-            self._said_class_ids[t, :g] = [signals.class_ids[name.class_name] for name in own.names]
-            self._said_flashing[t, :g] = [name.flashing for name in own.names]
+        self._tables = OutcomeTables.of(self._models, signals, config)
         self._unseen = self._first_reports()
-        self._reader = LookReader.of([hmm[name] for name in signals.types], signals.class_ids)
-        self._missed = miss_likelihood(widest, self._reader.levels)
-        self._types: IntArray = np.empty(0, dtype=np.int64)
-        self._groups: IntArray = np.empty(0, dtype=np.int64)
-        self._disputes = GroupDisputes(config.dispute_after_s)
-        self._looked = np.empty(0, dtype=bool)
-        self._alive = np.empty(0, dtype=bool)
-        self._surely_seen = np.empty((0, widest))  # how surely a camera saw each class in this set
-        self._class_count = len(signals.classes)
-        self._pairs: IntArray = np.empty(0, dtype=np.int64)  # which two classes led in this set, −1 for none
-        self._said: IntArray = np.empty(0, dtype=np.int64)  # outcome that was reported last, −1 for none
         nobody: IntArray = np.empty(0, dtype=np.int64)
-        self._blocks = [BeliefBlock.fresh(model.filter, nobody, nobody) for model in self._models]
-        self._line: LineUp | None = None
+        self._types = self._groups = nobody
+        self._disputes = GroupDisputes(config.dispute_after_s)
+        self._looked = self._alive = np.empty(0, dtype=bool)
+        self._surely_seen = np.empty((0, self._widest))  # how surely a camera saw each class in this set
+        self._class_count = len(signals.classes)
+        self._pairs = nobody  # which two classes led in this set, −1 for none
+        self._said = nobody  # outcome that was reported last, −1 for none
+        self._beliefs = Beliefs.fresh(self._filter, nobody, nobody, nobody)
+        self._told: tuple[IntArray, OutcomeTables] | None = None
         self._now_ms: int | None = None
 
     def append(self, types: IntArray, groups: IntArray) -> None:
@@ -90,37 +73,31 @@ class TimedStates:
         self._alive, self._said, self._surely_seen = self._alive[rows], self._said[rows], self._surely_seen[rows]
         self._pairs = self._pairs[rows]
         self._disputes.keep(rows)
-        self._replace({t: block.take(place[block.rows] >= 0) for t, block in enumerate(self._blocks)})
-        for block in self._blocks:
-            block.rows = place[block.rows]
+        kept = self._beliefs.take(place[self._beliefs.rows] >= 0)
+        self._beliefs = kept.moved(place[kept.rows], kept.groups)
 
     def start_anew(self, rows: IntArray, types: IntArray) -> None:
         """Forget what is known of some tracks' states; they may have other types now."""
         self._disputes.reset(rows)
         self._said[rows] = -1
-        self._replace({t: block.take(~np.isin(block.rows, rows)) for t, block in enumerate(self._blocks)})
+        self._beliefs = self._beliefs.take(~np.isin(self._beliefs.rows, rows))
         self._types[rows] = types
         self._begin(rows, types)
 
     def _begin(self, rows: IntArray, types: IntArray) -> None:
         """Take in tracks of which nothing is known."""
-        for t in np.unique(types).tolist():
-            own = np.sort(rows[types == t])
-            fresh = BeliefBlock.fresh(self._models[t].filter, own, self._groups[own])
-            self._replace({t: self._blocks[t].join(fresh)})
+        self._beliefs = self._beliefs.join(Beliefs.fresh(self._filter, rows, types, self._groups[rows]))
 
     def merge(self, row: int, other: int, source: int) -> None:
         """Two tracks of one type are one light: see `LightStates.merge`."""
         group = self._groups[row] = self._groups[source]
-        t = int(self._types[row])
-        block = self._blocks[t]
-        heard, *doubled = [one for one in (source, row + other - source) if one in block.rows] or [-1]
+        beliefs = self._beliefs
+        heard, *doubled = [one for one in (source, row + other - source) if one in beliefs.rows] or [-1]
         if heard < 0:
             return
-        kept = block.take(~np.isin(block.rows, doubled))
+        kept = beliefs.take(~np.isin(beliefs.rows, doubled))
         rows = np.where(kept.rows == heard, row, kept.rows)
-        merged = replace(kept, rows=rows, groups=np.where(rows == row, group, kept.groups))
-        self._replace({t: merged.take(rows.argsort())})
+        self._beliefs = kept.moved(rows, np.where(rows == row, group, kept.groups))
         for column in (self._looked, self._said, self._pairs):
             column[row] = column[heard]
         self._disputes.take_over(row, heard)
@@ -132,9 +109,8 @@ class TimedStates:
         self._now_ms = now_ms
         if elapsed_ms == 0:
             return
-        for block in self._blocks:
-            if len(block):
-                block.predict(elapsed_ms)
+        if len(self._beliefs):
+            self._beliefs.predict(elapsed_ms)
 
     def take_in(self, looks: Sequence[Looks]) -> None:
         """Update by a set of frames, one entry for each camera.
@@ -167,138 +143,117 @@ class TimedStates:
         for look in looks:
             if len(look.missed):
                 likelihood[look.missed[~looked[look.missed]]] = self._missed
-        line = self._line_up()
-        new, leading = self._second_classes(surest, looked, line)
-        likelihood = likelihood.take(line.rows, axis=0)
-        for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
-            if not len(block):
-                continue
-            factors = None
-            if model.filter.second_if_wrong:
-                telling = new[here].nonzero()[0]
-                if len(telling):
-                    vectors = leading[here].take(telling, axis=0)[:, : len(model.states)]
-                    factors = telling, model.filter.seconds(vectors)
-            block.update(likelihood[here].take(model.appearances, axis=1), factors)
+        beliefs = self._beliefs
+        if not len(beliefs):
+            self._pairs = np.full(n, -1)
+            return
+        new, leading = self._second_classes(surest, looked)
+        telling = new.nonzero()[0]
+        seconds = None
+        if len(telling):
+            types = beliefs.lights.types.take(telling)
+            seconds = telling, self._filter.seconds(leading.take(telling, axis=0), types)
+        beliefs.update(likelihood.take(beliefs.rows, axis=0), seconds)
 
-    def _second_classes(self, surest: FloatArray, looked: BoolArray, line: LineUp) -> tuple[BoolArray, FloatArray]:
-        """(m,) of whom the two leading classes are others than before, and (m, k) probabilities of its type's classes.
+    def _second_classes(self, surest: FloatArray, looked: BoolArray) -> tuple[BoolArray, FloatArray]:
+        """(m,) whose second class says something new, and (m, k) probabilities of the classes of each light's type.
 
-        While the leading two stay, they say nothing new.
+        While the leading two stay as they were, they say nothing new.
         """
-        rows = line.rows
+        rows, types = self._beliefs.rows, self._beliefs.lights.types
         padded = np.zeros((len(rows), self._class_count + 1))
         padded[:, :-1] = surest.take(rows, axis=0)
         first_columns = padded.shape[1] * np.arange(len(rows))[:, None]
-        leading = padded.take(self._reader.columns.take(self._types.take(rows), axis=0) + first_columns)
+        leading = padded.take(self._reader.columns.take(types, axis=0) + first_columns)
         pairs = np.where(looked.take(rows), leading_pairs(leading), -1)
         before, self._pairs = self._pairs.take(rows), np.full(len(looked), -1)
         self._pairs[rows] = pairs
-        return (pairs >= 0) & (pairs != before), leading
-
-    def _line_up(self) -> LineUp:
-        if self._line is None:
-            self._line = LineUp.of(self._blocks)
-        return self._line
+        return (pairs >= 0) & (pairs != before) & (self._filter.second_if_wrong.take(types) > 0), leading
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
         """Say which tracks are alive: only these share evidence. Those whose past is over take no room from now on."""
         self._alive = alive
-        if np.count_nonzero(over.take(self._line_up().rows)):
-            self._replace({t: block.take(~over.take(block.rows)) for t, block in enumerate(self._blocks)})
-        line = self._line_up()
-        if not self._config.share_groups or (not line.grouped and line.partners is None):
+        gone = over.take(self._beliefs.rows)
+        if np.count_nonzero(gone):
+            self._beliefs = self._beliefs.take(~gone)
+        beliefs = self._beliefs
+        if not self._config.share_groups or not (beliefs.grouped or beliefs.shares):
             return
-        lives, looked = alive.take(line.rows), self._looked.take(line.rows)
-        self._disputes.judge(line.rows, line.mates, self._class_beliefs(line), lives & looked, self._now_ms or 0)
-        may_join = lives & ~self._disputes.disputed.take(line.rows)
-        if line.may_join is not None and np.array_equal(may_join, line.may_join):
-            return
-        together = may_join & (line.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
-        self._replace({t: self._blocks[t].share_among(together[here]) for t, here in enumerate(line.slices)})
-        self._line_up().may_join = may_join
+        rows = beliefs.rows
+        lives, looked = alive.take(rows), self._looked.take(rows)
+        of_classes = (self._filter.states(beliefs.own)[:, None] @ self._tables_of_lights().class_membership)[:, 0]
+        self._disputes.judge(rows, beliefs.mates, of_classes, lives & looked, self._now_ms or 0)
+        self._beliefs = beliefs.share_among(lives & ~self._disputes.disputed.take(rows))
 
-    def _class_beliefs(self, line: LineUp) -> FloatArray:
-        """(m, k) belief in each class of its type, from what was seen of each light itself."""
-        beliefs = np.zeros((len(line.rows), self._reader.columns.shape[1]))
-        for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
-            if len(block):
-                beliefs[here, : len(model.states)] = model.filter.states(block.own) @ model.class_membership
-        return beliefs
-
-    def _replace(self, blocks: Mapping[int, BeliefBlock]) -> None:
-        """Blocks of these types have other tracks now, or share otherwise."""
-        for t, block in blocks.items():
-            self._blocks[t] = block
-        self._line = None
+    def _tables_of_lights(self) -> OutcomeTables:
+        """How to read each light's belief, made anew when the lights are others."""
+        types = self._beliefs.lights.types
+        if self._told is None or self._told[0] is not types:
+            self._told = types, self._tables.take(types)
+        return self._told[1]
 
     def report(self) -> Reports:
         """What is said of each track; of those of which nothing is remembered, what is likely before any look."""
-        line = self._line_up()
-        rows = line.rows
-        types, said = self._types.take(rows), self._said.take(rows)
-        mass = np.zeros((len(rows), self._contradiction.shape[1]))
-        denials, surely = np.zeros(mass.shape), self._surely_seen.take(rows, axis=0)
-        for block, model, here in zip(self._blocks, self._models, line.slices, strict=True):
-            if len(block):
-                names = slice(len(model.outcomes.names))
-                mass[here, names] = model.filter.states(block.told) @ model.outcomes.membership
-                denials[here, names] = surely[here, : len(model.states)] @ model.outcomes.denied_by
+        reports = self._unseen.take(self._types)
+        reports.disputed[:] = self._disputes.disputed
+        beliefs, said = self._beliefs, self._said
+        self._said = np.full(len(said), -1)
+        if not len(beliefs):
+            return reports
+        rows, tables = beliefs.rows, self._tables_of_lights()
+        said = said.take(rows)
+        denials = (self._surely_seen.take(rows, axis=0)[:, None] @ tables.denied_by)[:, 0]
         denied = denials > _SURELY
-        if line.partners is not None:  # what is surely seen of one light of a group is denied to all of them
-            denied = line.partners.total(denied.astype(np.float64)) > 0
+        if beliefs.partners is not None:  # what is surely seen of one light of a group is denied to all of them
+            denied = beliefs.partners.total(denied.astype(np.float64)) > 0
+        every = np.arange(len(rows))
         choice = choose(
-            mass,
-            self._contradiction.take(types, axis=0),
+            (self._filter.states(beliefs.told)[:, None] @ tables.membership)[:, 0],
+            tables.contradiction,
             denied,
             said,
-            self._change_odds[types, said],
+            tables.change_odds[every, said],
             max_go_risk=self._config.max_go_risk,
             min_probability=self._config.min_probability,
         )
-        self._said[:] = -1
         self._said[rows] = np.where(self._alive.take(rows), np.where(choice.doubtful, said, choice.outcome), -1)
-        reports = self._unseen.take(self._types)
-        reports.class_ids[rows] = self._said_class_ids[types, choice.outcome]
-        reports.flashing[rows] = self._said_flashing[types, choice.outcome]
+        reports.class_ids[rows] = tables.class_ids[every, choice.outcome]
+        reports.flashing[rows] = tables.flashing[every, choice.outcome]
         reports.probability[rows] = choice.probability
         reports.doubtful[rows] = choice.doubtful
         reports.go_held[rows] = choice.go_held
-        if line.partners is not None:
-            reports.shares[rows] = np.concatenate([block.joined for block in self._blocks]) >= 0
-        reports.disputed[:] = self._disputes.disputed
+        reports.shares[rows] = beliefs.joined >= 0
         return reports
 
     def explain(self, row: int) -> dict[str, Any]:
         """Belief in each class, each outcome, the stage of its phase, and how the detector sees the light."""
-        t = int(self._types[row])
-        model, block = self._models[t], self._blocks[t]
-        slots = np.flatnonzero(block.rows == row).tolist()
-        told: dict[str, Any] = model.explain(block.told[slots[0]]) if slots else {"belief": None}
+        model, beliefs = self._models[int(self._types[row])], self._beliefs
+        own_part = model.own_part(self._widest)
+        slots = np.flatnonzero(beliefs.rows == row).tolist()
+        told: dict[str, Any] = model.explain(beliefs.told[slots[0]][own_part]) if slots else {"belief": None}
         if self._groups[row] >= 0:
             told["group"] = {
-                "shares": bool(slots) and bool(block.joined[slots[0]] >= 0),
+                "shares": bool(slots) and bool(beliefs.joined[slots[0]] >= 0),
                 "disputed": bool(self._disputes.disputed[row]),
-                "own_belief": model.explain(block.own[slots[0]])["belief"] if slots else None,
+                "own_belief": model.explain(beliefs.own[slots[0]][own_part])["belief"] if slots else None,
             }
         return told
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values."""
+        beliefs = self._beliefs
+        parts = [model.own_part(self._widest) for model in self._models]
+        types = beliefs.lights.types.tolist()
         return {
             "now_ms": self._now_ms,
             "groups": self._groups.tolist(),
             "disputes": self._disputes.to_json(),
             "said": self._said.tolist(),
             "pairs": self._pairs.tolist(),
-            "blocks": [
-                {
-                    "rows": block.rows.tolist(),
-                    "own": block.own.tolist(),
-                    "shared": block.beliefs[1].tolist() if block.shares else None,
-                    "joined": block.joined.tolist(),
-                }
-                for block in self._blocks
+            "rows": beliefs.rows.tolist(),
+            "joined": beliefs.joined.tolist(),
+            "beliefs": [
+                [layer[parts[t]].tolist() for layer in light] for t, light in zip(types, beliefs.array, strict=True)
             ],
         }
 
@@ -313,28 +268,28 @@ class TimedStates:
         self._looked, self._alive = np.zeros((2, len(types)), dtype=bool)
         self._said = np.array(values["said"], dtype=np.int64)
         self._pairs = np.array(values["pairs"], dtype=np.int64)
-        self._surely_seen = np.zeros((len(types), self._reader.columns.shape[1]))
+        self._surely_seen = np.zeros((len(types), self._widest))
         self._disputes.restore(values["disputes"])
-        blocks = []
-        for t, saved in enumerate(values["blocks"]):
-            own_filter, rows = self._models[t].filter, np.array(saved["rows"], dtype=np.int64)
-            layers = [saved["own"]] if saved["shared"] is None else [saved["own"], saved["shared"]]
-            beliefs = np.array(layers, dtype=np.float64).reshape(len(layers), len(rows), *own_filter.first.shape)
-            joined = np.array(saved["joined"], dtype=np.int64)
-            blocks.append(BeliefBlock(own_filter, rows, self._groups[rows], joined, beliefs))
-        self._replace(dict(enumerate(blocks)))
+        rows, joined = (np.array(values[name], dtype=np.int64) for name in ("rows", "joined"))
+        layers = max(map(len, values["beliefs"]), default=1)
+        array = np.zeros((len(rows), layers, *self._filter.first.shape[1:]))
+        for light, t, saved in zip(array, types[rows].tolist(), values["beliefs"], strict=True):
+            own_part = self._models[t].own_part(self._widest)
+            for layer, belief in zip(light, saved, strict=True):
+                layer[own_part] = np.array(belief, dtype=np.float64).reshape(layer[own_part].shape)
+        self._beliefs = Beliefs.of(self._filter, rows, types[rows], self._groups[rows], joined, array)
 
     def _first_reports(self) -> Reports:
         """What is said of a light of each type before anybody has looked: it is not to be acted upon."""
         count = len(self._models)
-        mass = [model.filter.chain.initial @ model.outcomes.membership for model in self._models]
+        mass = [model.chain.initial @ model.outcomes.membership for model in self._models]
         # Of things equally probable, rather one that stops somebody.
         go = [model.outcomes.contradiction.any(axis=1) for model in self._models]
         likely = np.array([(own - _TIE * says_go).argmax() for own, says_go in zip(mass, go, strict=True)])
         nowhere = np.zeros(count, dtype=bool)
         return Reports(
-            class_ids=self._said_class_ids[np.arange(count), likely],
-            flashing=self._said_flashing[np.arange(count), likely],
+            class_ids=self._tables.class_ids[np.arange(count), likely],
+            flashing=self._tables.flashing[np.arange(count), likely],
             probability=np.array([own[best] for own, best in zip(mass, likely.tolist(), strict=True)]),
             doubtful=~nowhere,
             go_held=nowhere,

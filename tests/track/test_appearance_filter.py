@@ -13,19 +13,44 @@ from hypothesis.extra.numpy import arrays
 from autolights.core import Certainty, HmmParameters, SignalSet, load_signals
 from autolights.core.errors import UsageError
 from autolights.track import hmm_predict, hmm_update
-from autolights.track.appearance_filter import AppearanceFilter, LookReader, miss_likelihood, seen_likelihood
+from autolights.track.appearance_filter import AppearanceFilter, LightsByType
 from autolights.track.hidden_chain import HiddenChain
+from autolights.track.look_reader import LookReader, miss_likelihood, seen_likelihood
 from autolights.track.signal_groups import Partners
 
 SIGNALS = load_signals()
 Hmm = dict[str, HmmParameters]
 
 
+class OneType:
+    """The filter of one type, for (m, c, K) beliefs: each light's own, or in `update_together` its group's."""
+
+    def __init__(self, chain: HiddenChain, params: HmmParameters, *, error_duration_s: float) -> None:
+        self._filter = AppearanceFilter.of([chain], [params], error_duration_s=error_duration_s)
+        self.chain, self.looks, self.first = chain, self._filter.looks[0], self._filter.first[0]
+
+    def _lights(self, count: int) -> LightsByType:
+        return self._filter.lights(np.zeros(count, dtype=np.int64))
+
+    def predict(self, beliefs: np.ndarray, duration_ms: int) -> np.ndarray:
+        return self._filter.predict(beliefs[:, None], self._lights(len(beliefs)), duration_ms)[:, 0]
+
+    def update(self, beliefs: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
+        return self._filter.update(beliefs[:, None], self._lights(len(beliefs)), likelihood)[:, 0]
+
+    def update_together(self, beliefs: np.ndarray, likelihood: np.ndarray, partners: Partners) -> np.ndarray:
+        both = np.stack([beliefs, beliefs], axis=1)
+        return self._filter.update(both, self._lights(len(beliefs)), likelihood, partners)[:, 1]
+
+    def seconds(self, class_probs: np.ndarray) -> np.ndarray:
+        return self._filter.seconds(class_probs, np.zeros(len(class_probs), dtype=np.int64))
+
+
 def make_filter(
     params: HmmParameters, signals: SignalSet = SIGNALS, *, stages: int = 1, error_duration_s: float = 0.4
-) -> AppearanceFilter:
+) -> OneType:
     chain = HiddenChain.of(params.type, signals, params, stages=stages, odd_changes_per_hour=36.0)
-    return AppearanceFilter.of(chain, params, error_duration_s=error_duration_s)
+    return OneType(chain, params, error_duration_s=error_duration_s)
 
 
 def test_filter_is_the_sum_over_all_paths_of_states_and_appearances(hmm: Hmm) -> None:
@@ -63,7 +88,7 @@ def test_filter_is_the_sum_over_all_paths_of_states_and_appearances(hmm: Hmm) ->
 def test_without_lasting_errors_and_misses_it_is_the_papers_filter(hmm: Hmm, type_name: str) -> None:
     params = hmm[type_name]
     chain = HiddenChain.of(type_name, SIGNALS, params, stages=1, odd_changes_per_hour=1e-9)
-    own = AppearanceFilter.of(chain, params, error_duration_s=0)
+    own = OneType(chain, params, error_duration_s=0)
     belief, paper = own.first[None], params.initial
     rng = np.random.default_rng(4)
     for duration_ms in (100, 40, 0, 200):
@@ -139,7 +164,7 @@ def test_time_and_rates_scaled_together_change_nothing(hmm: Hmm, scale: int, ste
     beliefs = []
     for own, factor, odd in ((params, 1, 36.0), (slow, scale, 36.0 / scale)):
         chain = HiddenChain.of("5dh", SIGNALS, own, stages=1, odd_changes_per_hour=odd)
-        filt = AppearanceFilter.of(chain, own, error_duration_s=0.4 * factor)
+        filt = OneType(chain, own, error_duration_s=0.4 * factor)
         belief = filt.first[None]
         for i, step in enumerate(steps):
             belief = filt.update(filt.predict(belief, step * factor), look(own, own.states[i % 5]))

@@ -44,11 +44,10 @@ def seen_double(pipeline: LightPipeline, track_id: int, new_id: int, offset_m: n
     states["pairs"].append(-1)
     for values in states["disputes"].values():
         values.append(-1 if values and not isinstance(values[0], bool) else False)
-    block = next(block for block in states["blocks"] if row in block["rows"])
-    slot = block["rows"].index(row)
-    block["rows"].append(index)
-    for name in ("own", "joined"):
-        block[name].append(copy.deepcopy(block[name][slot]))
+    slot = states["rows"].index(row)
+    states["rows"].append(index)
+    for name in ("beliefs", "joined"):
+        states[name].append(copy.deepcopy(states[name][slot]))
     places = saved["places"]
     of_light = -1 - track_id if -1 - track_id in places["lights"] else "a"
     slot = places["lights"].index(of_light)
@@ -116,11 +115,10 @@ def test_the_older_id_stays_though_the_map_knows_the_younger(make_scene: Callabl
     for name in ("groups", "said", "pairs"):
         states[name] = [-1, *states[name]]
     states["disputes"] = {name: [column[0], *column] for name, column in states["disputes"].items()}
-    for block in states["blocks"]:
-        block["rows"] = [row + 1 for row in block["rows"]]
-        if 1 in block["rows"]:
-            first = np.full_like(np.array(block["own"][0]), 1e-6).tolist()
-            block.update(rows=[0, *block["rows"]], own=[first, *block["own"]], joined=[-1, *block["joined"]])
+    of_light = states["beliefs"][states["rows"].index(0)]
+    states["beliefs"] = [np.full_like(np.array(of_light), 1e-6).tolist(), *states["beliefs"]]
+    states["rows"] = [0, *(row + 1 for row in states["rows"])]
+    states["joined"] = [-1, *states["joined"]]
     manager.restore(saved)
     belief = manager._states.explain(1)["belief"]
     assert manager.merge(-1, 0) == 0

@@ -136,7 +136,7 @@ def test_a_new_group_believes_what_each_of_its_lights_has_seen() -> None:
     initial, evidence, looks = rng.dirichlet(np.ones(5)), rng.random((3, 5)), rng.dirichlet(np.ones(4), (3, 5))
     own = (initial * evidence)[:, None, :] * looks.transpose(0, 2, 1)
     own /= own.sum(axis=(1, 2), keepdims=True)
-    joined = share(own, None, np.full(3, -1), np.array([7, 7, -1]), initial)
+    joined = share(own, None, np.full(3, -1), np.array([7, 7, -1]), np.tile(initial, (3, 1)))
     expected = initial * evidence[0] * evidence[1]
     for light in (0, 1):
         np.testing.assert_allclose(joined[light].sum(axis=0), expected / expected.sum())
@@ -149,7 +149,7 @@ def test_who_joins_takes_over_the_belief_and_keeps_its_looks() -> None:
     own, shared = rng.random((2, 3, 4, 5))
     own /= own.sum(axis=(1, 2), keepdims=True)
     shared /= shared.sum(axis=(1, 2), keepdims=True)
-    joined = share(own, shared, np.array([7, 7, -1]), np.array([7, 7, 7]), np.full(5, 0.2))
+    joined = share(own, shared, np.array([7, 7, -1]), np.array([7, 7, 7]), np.full((3, 5), 0.2))
     np.testing.assert_array_equal(joined[:2], shared[:2])
     np.testing.assert_allclose(joined[2].sum(axis=0), shared[0].sum(axis=0))
     np.testing.assert_allclose(joined[2] / joined[2].sum(axis=0), own[2] / own[2].sum(axis=0))
