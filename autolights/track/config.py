@@ -44,7 +44,7 @@ class TrackConfig(Config):
     max_coast_s: float = Field(default=2.0, gt=0)
     state_memory_s: float = Field(default=10.0, gt=0)
     error_duration_s: float = Field(default=0.4, ge=0)
-    dwell_stages: int = Field(default=8, ge=1, le=32)
+    dwell_stages: int = Field(default=4, ge=1, le=32)
     odd_changes_per_hour: float = Field(default=1.0, gt=0)
     change_odds: float = Field(default=3.0, ge=1)
     max_go_risk: float = Field(default=0.1, gt=0, le=1)

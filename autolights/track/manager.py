@@ -83,6 +83,7 @@ class TrackManager:
         self._unmapped_rows: IntArray = np.empty(0, dtype=np.int64)
         self._touched = np.empty(0, dtype=bool)
         self._unmapped_lights = self._index()
+        self._placed_at: FloatArray | None = None  # of the places that were taken over last
         self._views: dict[int, list[CameraView]] = {}
         self._last_set_ns: int | None = None
         self.last_id = last_id
@@ -139,7 +140,7 @@ class TrackManager:
         if isinstance(observations, SetObservation):
             vehicle = observations.shots.vehicle[-1]
             estimates = self._reporter.estimates(self._table, self._reports, self._views, vehicle, stamp_ns, places)
-        self._forget(stamp_ns)
+        self._forget(stamp_ns, places)
         return estimates
 
     def merge(self, unmapped: int, other: int) -> int | None:
@@ -331,8 +332,12 @@ class TrackManager:
         else:  # another type may win, and then lose again: one image after the other
             for image in np.unique(images):
                 self._vote_types(rows[images == image], seen_types[images == image])
-        information = self._information(observation, detections)
-        table.refine_positions(rows, observation.positions.take(detections, axis=0), information)
+        localized = (~np.isnan(observation.positions[:, 0].take(detections))).nonzero()[0]
+        if len(localized):
+            detections = detections.take(localized)
+            information = self._information(observation, detections)
+            positions = observation.positions.take(detections, axis=0)
+            table.refine_positions(rows.take(localized), positions, information)
 
     def _vote_types(self, rows: IntArray, seen_types: IntArray) -> None:
         table = self._table
@@ -415,9 +420,12 @@ class TrackManager:
         self._table.end_set(detected, expected, set_ns, elapsed_ns, self._config)
         self._states.end_set(self._table.alive, self._table.starts_anew)
 
-    def _forget(self, set_ns: int) -> None:
+    def _forget(self, set_ns: int, places: PlaceBook | None) -> None:
         """Drop false alarms and the longest unseen; place what is left of the unmapped lights anew."""
         table = self._table
+        if places is not None and places.places.positions is not self._placed_at:
+            self._placed_at = places.places.positions
+            self._take_over_places(places)
         # A false alarm seldom comes twice in one place: a candidate that fails to return was one.
         candidate = (table.hits > 0) & ((table.map_rows >= 0) | (table.age_s(set_ns) <= self._config.max_coast_s))
         kept = (table.known | candidate).nonzero()[0]
@@ -436,6 +444,13 @@ class TrackManager:
             if np.count_nonzero(np.abs(positions - self._unmapped_lights.positions) > _MOVED_M):
                 types_kept = np.array_equal(table.types.take(rows), self._unmapped_types)
                 self._unmapped_lights = self._unmapped_lights.at(positions) if types_kept else self._index()
+
+    def _take_over_places(self, places: PlaceBook) -> None:
+        """Let unmapped lights stand where all images together have them."""
+        table, rows = self._table, (self._table.map_rows < 0).nonzero()[0]
+        found = places.rows_of(table.map_rows.take(rows), table.ids.take(rows))
+        known = (found >= 0).nonzero()[0]
+        table.positions[rows.take(known)] = places.places.positions.take(found.take(known), axis=0)
 
     def _keep(self, kept: IntArray) -> None:
         """Forget all tracks but these, ascending rows."""

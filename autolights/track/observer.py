@@ -102,10 +102,11 @@ class Observer:
         cost = np.full((len(lights), len(detections)), np.inf)
         cost[pairs] = costs
         association = associate_pairs(pairs, costs, cost.shape, unmatched_cost=config.max_distance_px)
-        off_map = _off_map(on_map, association, len(detections))
+        placed = self._placed_lights(lights, on_map, unmapped, places)
+        unplaced = _unplaced(placed, association, len(detections))
         positions = np.full((len(detections), 3), np.nan)
-        if len(off_map):
-            positions[off_map] = self._localized(seen, detections, off_map, seen_in, shots, alignment)
+        if len(unplaced):
+            positions[unplaced] = self._localized(seen, detections, unplaced, seen_in, shots, alignment)
         new = association.unmatched_detections
         if len(new):
             new = new[detections.scores[new] >= config.new_light_score_threshold]
@@ -197,6 +198,16 @@ class Observer:
         may_vote = pairs[0].take(votes), pairs[1].take(votes)
         return self._alignment.align(shots, known, lights.distances_m, lights.images, seen, may_vote)
 
+    def _placed_lights(
+        self, lights: LightsInImages, on_map: BoolArray, unmapped: TrafficLightMap, places: PlaceBook | None
+    ) -> BoolArray:
+        """(n,) whether the map or the images before tell where a light stands: a single box says less."""
+        if places is None or not len(unmapped):
+            return on_map
+        placed, off_map = on_map.copy(), (~on_map).nonzero()[0]
+        placed[off_map] = places.knows(unmapped).take(lights.indices.take(off_map) - self._map_length)
+        return placed
+
     def _localized(
         self,
         seen: FloatArray,
@@ -214,9 +225,9 @@ class Observer:
         return localize_in_images(boxes, sizes_m, shots, images)
 
 
-def _off_map(on_map: BoolArray, association: Association, count: int) -> IntArray:
-    """Rows of the detections that are no lights of the map, of which (n,) `on_map` tells."""
-    off_map = np.ones(count, dtype=bool)
+def _unplaced(placed: BoolArray, association: Association, count: int) -> IntArray:
+    """Rows of the detections that are none of the lights whose places are known, of which (n,) `placed` tells."""
+    unplaced = np.ones(count, dtype=bool)
     lights, detections = association.matches.T
-    off_map[detections[on_map.take(lights)]] = False
-    return off_map.nonzero()[0]
+    unplaced[detections[placed.take(lights)]] = False
+    return unplaced.nonzero()[0]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from autolights.core import FloatArray, IntArray, TrafficLightMap
+from autolights.core import BoolArray, FloatArray, IntArray, TrafficLightMap
 from autolights.track.observation import SetObservation
 from autolights.track.place_config import PlaceConfig
 from autolights.track.places import LightPlaces
@@ -99,6 +99,10 @@ class PlaceBook:
         for i in (map_rows < 0).nonzero()[0].tolist():
             rows[i] = self._row_of_track.get(int(track_ids[i]), -1)
         return rows
+
+    def knows(self, unmapped: TrafficLightMap) -> BoolArray:
+        """(u,) of which unmapped lights the place is known; track ids for names."""
+        return np.array([int(track) in self._row_of_track for track in unmapped.ids], dtype=bool)
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values."""
