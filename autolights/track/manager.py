@@ -24,16 +24,15 @@ from autolights.track.misses import in_plain_view
 from autolights.track.observation import CameraObservation, SetObservation
 from autolights.track.paper_states import PaperStates
 from autolights.track.place_book import PlaceBook
-from autolights.track.projection import ANY_TYPE
 from autolights.track.reporting import Reporter
 from autolights.track.signal_groups import group_numbers
 from autolights.track.states import LightStates, Looks, Reports
 from autolights.track.timed_states import TimedStates
 from autolights.track.track_table import TrackTable
+from autolights.track.unmapped_lights import UnmappedLights
 
 STATE_FORMAT = 3
 _VIEW = partial(tuple.__new__, CameraView)  # a third of the time of a call with names
-_MOVED_M = 0.01  # a light of the index is placed anew once it is this far from where it stands there
 
 
 class _Seen(NamedTuple):
@@ -71,8 +70,8 @@ class TrackManager:
         self._config = config
         self._type_names = list(signals.types)
         self._class_types = np.array([self._type_names.index(signals.type_of[name]) for name in signals.classes])
-        self._sizes_m = signals.sizes_m(self._type_names)
-        self._heights_m = self._sizes_m[:, 1]
+        sizes_m = signals.sizes_m(self._type_names)
+        self._heights_m = sizes_m[:, 1]
         self._map_types = np.array([self._type_names.index(name) for name in lights.types], dtype=np.int64)
         self._map_groups = group_numbers(lights)
         self._reporter = Reporter(lights, signals, config)
@@ -80,10 +79,8 @@ class TrackManager:
         make = TimedStates if config.mode == "timed" else PaperStates
         self._states: LightStates = make(signals, hmm, config)
         self._row_of_light = np.full(len(lights) + 1, -1, dtype=np.int64)  # the last stands for no light of the map
-        self._unmapped_rows: IntArray = np.empty(0, dtype=np.int64)
+        self._unmapped = UnmappedLights(sizes_m)
         self._touched = np.empty(0, dtype=bool)
-        self._unmapped_lights = self._index()
-        self._placed_at: FloatArray | None = None  # of the places that were taken over last
         self._views: dict[int, list[CameraView]] = {}
         self._last_set_ns: int | None = None
         self.last_id = last_id
@@ -92,7 +89,7 @@ class TrackManager:
     @property
     def unmapped(self) -> TrafficLightMap:
         """Lights that the map does not hold, tentative ones too: projected and associated exactly like map lights."""
-        return self._unmapped_lights
+        return self._unmapped.lights
 
     def __len__(self) -> int:
         """How many lights are remembered."""
@@ -165,8 +162,7 @@ class TrackManager:
         self._states.merge(first, last, source)
         table.absorb(first, last)
         self._keep(np.delete(np.arange(len(table)), last))
-        self._unmapped_rows = np.flatnonzero(table.map_rows < 0)
-        self._unmapped_lights = self._index()
+        self._unmapped.follow(table)
         return other if other >= 0 else -1 - int(table.ids[first])
 
     def explain(self) -> list[dict[str, Any]]:
@@ -185,7 +181,7 @@ class TrackManager:
             "next_id": self.last_id,
             "map_ids": [None if row < 0 else self._lights.ids[row] for row in map_rows],
             "tracks": self._table.to_json(),
-            "index": {"rows": self._unmapped_rows.tolist(), "positions": self._unmapped_lights.positions.tolist()},
+            "unmapped": self._unmapped.lights.positions.tolist(),
             "states": self._states.to_json(),
         }
 
@@ -210,9 +206,8 @@ class TrackManager:
                 [-1 if light_id is None else row_of_id[light_id] for light_id in values["map_ids"]], dtype=np.int64
             )
             self._states.restore(values["states"], table.types.copy())
-            rows = np.array(values["index"]["rows"], dtype=np.int64)
-            self._table, self._unmapped_rows = table, rows
-            self._unmapped_lights = self._index(np.array(values["index"]["positions"]).reshape(-1, 3))
+            self._unmapped.restore(table, np.array(values["unmapped"], dtype=np.float64))
+            self._table = table
             self._last_set_ns, self.last_id = values["last_set_ns"], int(values["next_id"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"tracking state: damaged ({type(error).__name__}: {error}); start without it") from error
@@ -285,7 +280,7 @@ class TrackManager:
         rows = self._row_of_light.take(np.minimum(known, count))
         off_map = (known >= count).nonzero()[0]
         if len(off_map):
-            rows[off_map] = self._unmapped_rows.take(known.take(off_map) - count)
+            rows[off_map] = self._unmapped.rows.take(known.take(off_map) - count)
         return rows
 
     def _start_map_tracks(self, map_rows: IntArray, set_ns: int) -> None:
@@ -423,9 +418,6 @@ class TrackManager:
     def _forget(self, set_ns: int, places: PlaceBook | None) -> None:
         """Drop false alarms and the longest unseen; place what is left of the unmapped lights anew."""
         table = self._table
-        if places is not None and places.places.positions is not self._placed_at:
-            self._placed_at = places.places.positions
-            self._take_over_places(places)
         # A false alarm seldom comes twice in one place: a candidate that fails to return was one.
         candidate = (table.hits > 0) & ((table.map_rows >= 0) | (table.age_s(set_ns) <= self._config.max_coast_s))
         kept = (table.known | candidate).nonzero()[0]
@@ -434,23 +426,7 @@ class TrackManager:
             kept = kept[np.sort(latest)]
         if len(kept) < len(table):
             self._keep(kept)
-        rows = (table.map_rows < 0).nonzero()[0]
-        same = len(kept) == len(self._touched) and np.array_equal(rows, self._unmapped_rows)
-        if not same:
-            self._unmapped_rows = rows
-            self._unmapped_lights = self._index()
-        elif len(rows):
-            positions = table.positions.take(rows, axis=0)
-            if np.count_nonzero(np.abs(positions - self._unmapped_lights.positions) > _MOVED_M):
-                types_kept = np.array_equal(table.types.take(rows), self._unmapped_types)
-                self._unmapped_lights = self._unmapped_lights.at(positions) if types_kept else self._index()
-
-    def _take_over_places(self, places: PlaceBook) -> None:
-        """Let unmapped lights stand where all images together have them."""
-        table, rows = self._table, (self._table.map_rows < 0).nonzero()[0]
-        found = places.rows_of(table.map_rows.take(rows), table.ids.take(rows))
-        known = (found >= 0).nonzero()[0]
-        table.positions[rows.take(known)] = places.places.positions.take(found.take(known), axis=0)
+        self._unmapped.follow(table, places)
 
     def _keep(self, kept: IntArray) -> None:
         """Forget all tracks but these, ascending rows."""
@@ -467,14 +443,3 @@ class TrackManager:
     def _place_map_lights(self) -> None:
         on_map = np.flatnonzero(self._table.map_rows >= 0)
         self._row_of_light[self._table.map_rows[on_map]] = on_map
-
-    def _index(self, positions: FloatArray | None = None) -> TrafficLightMap:
-        table, rows = self._table, self._unmapped_rows
-        self._unmapped_types = table.types[rows]
-        return TrafficLightMap(
-            ids=tuple(map(str, table.ids[rows].tolist())),
-            types=(ANY_TYPE,) * len(rows),
-            positions=table.positions[rows] if positions is None else positions,
-            headings_deg=table.headings_deg[rows],
-            sizes_m=self._sizes_m.take(self._unmapped_types, axis=0),
-        )

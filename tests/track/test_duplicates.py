@@ -36,8 +36,7 @@ def seen_double(pipeline: LightPipeline, track_id: int, new_id: int, offset_m: n
     tracks["next_id"] = new_id
     tracks["map_ids"].append(None)
     index = len(tracks["tracks"]["ids"]) - 1
-    tracks["index"]["rows"].append(index)
-    tracks["index"]["positions"].append(tracks["tracks"]["positions"][-1])
+    tracks["unmapped"].append(tracks["tracks"]["positions"][-1])
     states = tracks["states"]
     states["groups"].append(-1)
     states["said"].append(-1)
@@ -110,7 +109,7 @@ def test_the_older_id_stays_though_the_map_knows_the_younger(make_scene: Callabl
     saved["tracks"] = rows | {"ids": [0, *table.ids.tolist()]}
     saved["tracks"]["information"][0] = np.eye(3).tolist()
     saved["map_ids"] = [None, *saved["map_ids"]]
-    saved["index"] = {"rows": [0, 2], "positions": [table.positions[0].tolist(), *saved["index"]["positions"]]}
+    saved["unmapped"] = [table.positions[0].tolist(), *saved["unmapped"]]
     states = saved["states"]
     for name in ("groups", "said", "pairs"):
         states[name] = [-1, *states[name]]
