@@ -365,6 +365,7 @@ class LightPipeline:
             merged = self._tracks.merge(key, other)
             if merged is not None:
                 places.merge(key, other, merged)
+                self._tracks.take_over(places)
             for gone in (key, other):
                 duplicates.forget(gone)
 

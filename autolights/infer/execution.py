@@ -109,4 +109,5 @@ def open_session(
         providers=execution.providers,
         threads=threads,
         spin_us=execution.spin_us,
+        one_launch=execution.streams == 1,
     )

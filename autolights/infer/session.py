@@ -3,6 +3,7 @@
 import io
 from collections.abc import Sequence
 from contextlib import redirect_stdout, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -61,6 +62,9 @@ class OnnxSession:
         threads: Within an operator; None leaves the choice to ONNX Runtime.
         spin_us: How long an idle thread looks for work before it sleeps, microseconds.
         io_binding: Keep inputs and outputs in memory of the provider's device from call to call; None: on a GPU.
+        one_launch: With I/O binding let CUDA record the work of a model of fixed size, and launch it as one: to launch
+            some hundred kernels one by one takes longer than a small network's arithmetic. ONNX Runtime records for
+            each thread, and no other thread may use the GPU meanwhile.
 
     Raises:
         UsageError: If the file is missing or a provider cannot be had.
@@ -78,6 +82,7 @@ class OnnxSession:
         threads: int | None = None,
         spin_us: int = 0,
         io_binding: bool | None = None,
+        one_launch: bool = True,
     ) -> None:
         if not model_path.is_file():
             raise UsageError(f"{model_path}: no such model; make one with `autolights export`")
@@ -105,8 +110,11 @@ class OnnxSession:
         self._device = _DEVICES.get(wanted[0], "cpu")
         bound = self.on_gpu if io_binding is None else io_binding
         fixed = not (info.dynamic_batch or info.dynamic_size)
+        record = one_launch and bound and fixed and wanted[0] == CUDA
+        start = partial(_start, data, options, wanted, info)
+        self._unrecorded = partial(start, record=False) if record else None
         try:
-            self._session = _start(data, options, _settings(wanted, info), one_launch=bound and fixed)
+            self._session = start(record=record)
         except Exception as error:  # ONNX Runtime has a class of its own for each kind of damage
             raise DataError(f"{model_path}: ONNX Runtime cannot read it ({_first_line(error)})") from error
         # One that cannot be started (a library or driver is missing) is silently left out.
@@ -119,7 +127,7 @@ class OnnxSession:
             model_path,
             info,
         )
-        self._binding = _Binding(self._session, self._input_name, self._output_names, self._device) if bound else None
+        self._binding = self._bound() if bound else None
 
     @property
     def on_gpu(self) -> bool:
@@ -128,9 +136,20 @@ class OnnxSession:
 
     def run(self, blob: FloatArray) -> tuple[FloatArray, ...]:
         """See `Session`; with I/O binding the next call overwrites what is returned."""
-        if self._binding is not None:
+        if self._binding is None:
+            return tuple(self._session.run(self._output_names, {self._input_name: blob}))
+        try:
             return self._binding.run(blob)
-        return tuple(self._session.run(self._output_names, {self._input_name: blob}))
+        except Exception:
+            if self._unrecorded is None:
+                raise
+        # The first run records, and something in it cannot be recorded.
+        self._session, self._unrecorded = self._unrecorded(), None
+        self._binding = self._bound()
+        return self._binding.run(blob)
+
+    def _bound(self) -> "_Binding":
+        return _Binding(self._session, self._input_name, self._output_names, self._device)
 
 
 class _Binding:
@@ -142,7 +161,7 @@ class _Binding:
         self._session = session
         self._input_name = input_name
         self._output_names = output_names
-        self._outputs = {node.name: _port(node) for node in session.get_outputs()}
+        self._ports = {node.name: _port(node) for node in (*session.get_inputs(), *session.get_outputs())}
         self._device = device
         self._binding = session.io_binding()
         self._input: Any = None
@@ -155,12 +174,15 @@ class _Binding:
         return tuple(value.numpy() for value in self._binding.get_outputs())
 
     def _bind(self, blob: FloatArray) -> None:
+        wanted = self._ports[self._input_name].shape
+        if None not in wanted and blob.shape != wanted:  # a recorded run would not look at it
+            raise ValueError(f"the model takes {list(wanted)}, got {list(blob.shape)}")
         self._input = onnxruntime.OrtValue.ortvalue_from_shape_and_type(list(blob.shape), blob.dtype, self._device, 0)
         self._binding.clear_binding_inputs()
         self._binding.bind_ortvalue_input(self._input_name, self._input)
         self._binding.clear_binding_outputs()
         for name in self._output_names:
-            port = self._outputs[name]
+            port = self._ports[name]
             if None in port.shape:
                 # The first run makes it on the device; the binding holds it, and later runs write into it.
                 self._binding.bind_output(name, self._device)
@@ -171,29 +193,27 @@ class _Binding:
                 self._binding.bind_ortvalue_output(name, value)
 
 
-def _settings(providers: Sequence[str], info: ModelInfo) -> list[tuple[str, dict[str, str]]]:
-    """Providers with their options."""
+def _start(
+    model: bytes, options: onnxruntime.SessionOptions, providers: Sequence[str], info: ModelInfo, *, record: bool
+) -> onnxruntime.InferenceSession:
+    """Load a model; `record` lets CUDA record its first run, if it has a kernel for each node."""
     cuda = dict(_CUDA_OPTIONS)
     if info.precision != "fp16":
         # Else CUDA rounds what convolutions multiply to ten bits (TF32): a thousandth of a probability. The option
         # forbids all tensor cores, so a model in halves, which is meant for them, does not get it.
         cuda["use_tf32"] = "0"
-    return [(name, cuda if name == CUDA else {}) for name in providers]
-
-
-def _start(
-    model: bytes, options: onnxruntime.SessionOptions, settings: list[tuple[str, dict[str, str]]], *, one_launch: bool
-) -> onnxruntime.InferenceSession:
-    """Load a model; where inputs and outputs stay where they are, CUDA records a run and launches it as one.
-
-    To launch some hundred kernels one by one takes longer than a small network's arithmetic.
-    """
-    (preferred, of_preferred), *others = settings
-    if one_launch and preferred == CUDA:
-        recorded = [(CUDA, {**of_preferred, "enable_cuda_graph": "1"}), *others]
-        with suppress(Exception):  # it refuses a graph with nodes that CUDA has no kernel for
-            return onnxruntime.InferenceSession(model, options, providers=recorded, enable_fallback=0)
-    return onnxruntime.InferenceSession(model, options, providers=settings)
+    if record:
+        recorded = {**cuda, "enable_cuda_graph": "1"}
+        with suppress(Exception):  # what is wrong with the model itself is told below
+            return onnxruntime.InferenceSession(
+                model,
+                options,
+                providers=[(name, recorded if name == CUDA else {}) for name in providers],
+                enable_fallback=0,
+            )
+    return onnxruntime.InferenceSession(
+        model, options, providers=[(name, cuda if name == CUDA else {}) for name in providers]
+    )
 
 
 def _preload_cuda() -> None:

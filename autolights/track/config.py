@@ -35,7 +35,7 @@ class TrackConfig(Config):
         max_tracks: Lights that are remembered; beyond it those that were out of sight longest are forgotten.
         history_size: Mode ``paper``: observations that a track remembers at least (the paper's N).
         history_s: Mode ``paper``: it also remembers all of the last seconds, so that two flashes fit in.
-        box_sigma_px: Standard deviation of a detected box's edges, from which unmapped positions are weighted.
+        box_sigma_px: Standard deviation of a detected box's edges, by which localisations of a new light are weighted.
     """
 
     mode: Literal["paper", "timed"] = "timed"

@@ -106,7 +106,8 @@ class TrackManager:
         Args:
             observations: One per image, held against the map and `unmapped` as they are now, in any order.
             stamp_ns: Latest stamp of the set; no earlier than the last set's.
-            places: Where lights stand, as far as that is known better than by the map and by these tracks.
+            places: Where lights stand, as far as that is known better than by the map and by these tracks; unmapped
+                ones are moved there.
 
         Returns:
             Estimates of all lights that were born, in the order of their track ids. A light whose state is too old is
@@ -164,6 +165,10 @@ class TrackManager:
         self._keep(np.delete(np.arange(len(table)), last))
         self._unmapped.follow(table)
         return other if other >= 0 else -1 - int(table.ids[first])
+
+    def take_over(self, places: PlaceBook) -> None:
+        """Let unmapped lights stand where `places` has them, after two of them turned out to be one."""
+        self._unmapped.follow(self._table, places)
 
     def explain(self) -> list[dict[str, Any]]:
         """What is known of each light and which rule made its report, as JSON-ready values."""
@@ -319,7 +324,7 @@ class TrackManager:
             self._learn(rows.take(unmapped), observation, detections.take(unmapped), images.take(unmapped))
 
     def _learn(self, rows: IntArray, observation: SetObservation, detections: IntArray, images: IntArray) -> None:
-        """Let unmapped lights be typed and placed by what was seen."""
+        """Let unmapped lights be typed by what was seen, and placed as long as no other images know their places."""
         table = self._table
         seen_types = self._class_types.take(observation.detections.class_ids.take(detections))
         if not np.count_nonzero(seen_types != table.types.take(rows)):

@@ -23,7 +23,7 @@ class CameraObservation:
         projected: n known lights; rows of the map come first, then those of `TrackManager.unmapped`.
         cost: (n, m) pixels of each pair, +inf where it is forbidden.
         association: Pairs of rows of `projected` and `detections`.
-        positions: (m, 3) metres: each detection localised by its size; NaN for those that are a map light.
+        positions: (m, 3) metres: each detection localised by its size; NaN for lights whose place is known.
         new_lights: Rows of detections that may be lights which nobody knew.
     """
 
@@ -57,7 +57,7 @@ class SetObservation:
         known_in: (n,) which image each lies in.
         cost: (n, m) pixels of each pair, +inf where it is forbidden.
         association: Pairs of rows of `projected` and `detections`.
-        positions: (m, 3) metres: each detection localised by its size; NaN for those that are a map light.
+        positions: (m, 3) metres: each detection localised by its size; NaN for lights whose place is known.
         new_lights: Rows of detections that may be lights which nobody knew.
     """
 

@@ -75,7 +75,8 @@ class Observer:
         Args:
             views: Cameras, the vehicle's poses at their images' stamps, and all detections; at least one image.
             unmapped: Lights that the map does not hold.
-            places: Where lights of the map stand, as far as the images have told; None takes the map's word.
+            places: Where lights stand, as far as the images have told: those of the map are looked for there, and
+                detections of unmapped ones are not localised again. None takes the map's word.
         """
         config = self._config
         ordered = sorted(views, key=lambda view: (view[1].stamp_ns, view[0].name))

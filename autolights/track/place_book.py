@@ -10,7 +10,7 @@ from autolights.track.observation import SetObservation
 from autolights.track.place_config import PlaceConfig
 from autolights.track.places import LightPlaces
 
-_MAX_LIGHTS = 1000  # beyond it those that were not seen for longest are forgotten
+_MAX_LIGHTS = 1000  # beyond it half of the room is made free
 
 
 class PlaceBook:
@@ -50,7 +50,7 @@ class PlaceBook:
             self._seen_ns[rows] = stamp_ns
         self.places.settle(stamp_ns)
         if len(self._keys) > _MAX_LIGHTS:
-            self._keep(np.sort(np.argsort(-self._seen_ns, kind="stable")[: _MAX_LIGHTS // 2]))
+            self._forget(unmapped)
 
     def place(self, map_id: str | None, track_id: int) -> tuple[FloatArray, FloatArray] | None:
         """(3,) metres and (3, 3) m² of a light, by its name in the map or by its track; None if nothing is known."""
@@ -167,6 +167,13 @@ class PlaceBook:
         for row, key in enumerate(keys):
             if key >= 0:
                 self._row_of_light[key] = row
+
+    def _forget(self, unmapped: TrafficLightMap) -> None:
+        """Make room: tracks that are no more go, then whoever was not seen for longest."""
+        living = {-1 - int(track) for track in unmapped.ids}
+        rows = np.array([row for row, key in enumerate(self._keys) if key >= 0 or key in living], dtype=np.int64)
+        latest = np.argsort(-self._seen_ns[rows], kind="stable")[: _MAX_LIGHTS // 2]
+        self._keep(np.sort(rows[latest]))
 
     def _keep(self, rows: IntArray) -> None:
         self.places.keep(rows)

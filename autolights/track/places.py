@@ -236,6 +236,7 @@ class LightPlaces:
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
             "camera_ns": self._camera_ns,
+            "unsettled": self._unsettled,
         }
 
     def restore(self, values: dict[str, Any]) -> None:
@@ -259,6 +260,7 @@ class LightPlaces:
         self._shared_information, self._shared_vector = information, vector
         self._shared, self._shared_covariance = shared, covariance
         self._shared_ns, self._camera_ns = values["shared_ns"], list(values["camera_ns"])
+        self._unsettled = bool(values["unsettled"])
 
     def _prior(self, *, on_map: bool) -> FloatArray:
         """(4, 4) information about a light before anything is seen of it."""

@@ -121,7 +121,7 @@ class GroupDisputes:
         self._since_ms[row], self.disputed[row] = self._since_ms[source], self.disputed[source]
 
     def judge(self, rows: IntArray, mates: Partners, beliefs: FloatArray, seen: BoolArray, now_ms: int) -> None:
-        """Compare lights of one type.
+        """Compare lights with those of their groups.
 
         Args:
             rows: (n,) tracks.

@@ -1,4 +1,4 @@
-"""Mode ``timed``: what is believed of all tracks, moved through time, updated and read by arrays, type by type."""
+"""Mode ``timed``: what is believed of all tracks, moved through time, updated and read in arrays."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -49,7 +49,7 @@ class TimedStates:
         self._pairs = nobody  # which two classes led in this set, −1 for none
         self._said = nobody  # outcome that was reported last, −1 for none
         self._beliefs = Beliefs.fresh(self._filter, nobody, nobody, nobody)
-        self._told: tuple[IntArray, OutcomeTables] | None = None
+        self._tables_for: tuple[IntArray, OutcomeTables] | None = None
         self._now_ms: int | None = None
 
     def append(self, types: IntArray, groups: IntArray) -> None:
@@ -117,7 +117,7 @@ class TimedStates:
 
         That a camera missed a light which another one saw says nothing about its state.
         """
-        n, k, levels = len(self._types), self._reader.columns.shape[1], self._reader.levels
+        n, k, levels = len(self._types), self._widest, self._reader.levels
         said, reached = np.ones((n, k)), np.zeros((n, levels - 1, k))
         looked = self._looked = np.zeros(n, dtype=bool)
         surest = np.zeros((n, self._class_count))
@@ -188,9 +188,9 @@ class TimedStates:
     def _tables_of_lights(self) -> OutcomeTables:
         """How to read each light's belief, made anew when the lights are others."""
         types = self._beliefs.lights.types
-        if self._told is None or self._told[0] is not types:
-            self._told = types, self._tables.take(types)
-        return self._told[1]
+        if self._tables_for is None or self._tables_for[0] is not types:
+            self._tables_for = types, self._tables.take(types)
+        return self._tables_for[1]
 
     def report(self) -> Reports:
         """What is said of each track; of those of which nothing is remembered, what is likely before any look."""

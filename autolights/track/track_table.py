@@ -18,8 +18,8 @@ class TrackTable:
         map_rows: (n,) row of the map light that it is, or −1.
         types: (n,) index of the map's type, or of the vote over all sightings.
         type_votes: (n, types) sightings of each type.
-        positions: (n, 3) metres; the map's, or an average of localisations.
-        information: (n, 3, 3) 1/m² behind an unmapped position: the inverse of its covariance. 0 for a map light.
+        positions: (n, 3) metres; the map's, an average of localisations, or what a `PlaceBook` made of all boxes.
+        information: (n, 3, 3) 1/m² behind the average of an unmapped light. 0 for a map light.
         headings_deg: (n,) the map's, or the way to the vehicle at the first sight.
         last_seen_ns: (n,) set in which it was detected last.
         hits: (n,) consecutive sets with a detection, before birth.

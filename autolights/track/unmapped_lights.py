@@ -26,7 +26,7 @@ class UnmappedLights:
 
     def __init__(self, sizes_m: FloatArray) -> None:
         self._sizes_m = sizes_m
-        self._placed_at: FloatArray | None = None  # positions of the places that were taken over last
+        self._taken_over: FloatArray | None = None  # the places' positions, which are other ones after each change
         self._take_up(TrackTable.empty(len(sizes_m)))
 
     def follow(self, table: TrackTable, places: PlaceBook | None = None) -> None:
@@ -37,11 +37,11 @@ class UnmappedLights:
             places: Where lights stand, as far as the images tell.
         """
         rows = self.rows = (table.map_rows < 0).nonzero()[0]
-        if places is not None and places.places.positions is not self._placed_at:
-            self._placed_at = places.places.positions
+        if places is not None and places.places.positions is not self._taken_over:
+            self._taken_over = places.places.positions
             found = places.rows_of(table.map_rows.take(rows), table.ids.take(rows))
             known = (found >= 0).nonzero()[0]
-            table.positions[rows.take(known)] = self._placed_at.take(found.take(known), axis=0)
+            table.positions[rows.take(known)] = self._taken_over.take(found.take(known), axis=0)
         same = np.array_equal(table.ids.take(rows), self._ids) and np.array_equal(table.types.take(rows), self._types)
         if not same:
             self._take_up(table)
@@ -52,7 +52,7 @@ class UnmappedLights:
 
     def restore(self, table: TrackTable, positions: FloatArray) -> None:
         """Follow a table, with the lights at (u, 3) positions, which may be a little behind the table's."""
-        self._placed_at = None
+        self._taken_over = None
         self._take_up(table)
         self.lights = self.lights.at(positions.reshape(self.lights.positions.shape))
 

@@ -3,7 +3,8 @@ import onnxruntime
 import pytest
 
 from autolights.core.errors import DataError, UsageError
-from autolights.infer.session import CPU, OnnxSession
+from autolights.infer import session as session_module
+from autolights.infer.session import CPU, CUDA, OnnxSession
 
 ROW = [32, 16, 10, 20, 0.9, 0.8, 0.1]
 
@@ -72,6 +73,65 @@ def test_io_binding_gives_the_same(spot_model):
         for got, wanted in zip(bound.run(blob), plain.run(blob), strict=True):
             np.testing.assert_array_equal(got, wanted)
         np.testing.assert_array_equal(blob, before)
+
+
+def test_what_cuda_cannot_record_runs_unrecorded(constant_model, monkeypatch):
+    """A stand-in for CUDA: it computes on the CPU, and the session that is to be recorded fails in its first run."""
+    started = []
+
+    class Session(onnxruntime.InferenceSession):
+        def __init__(self, model, options, providers, **how):
+            settings = providers[0][1]
+            started.append(settings)
+            self.settings = settings
+            super().__init__(model, options, providers=[CPU], **how)
+
+        def get_providers(self):
+            return [CUDA, CPU]
+
+        def run_with_iobinding(self, binding):
+            if "enable_cuda_graph" in self.settings:
+                raise RuntimeError("capture failed")
+            super().run_with_iobinding(binding)
+
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [CUDA, CPU])
+    monkeypatch.setattr(onnxruntime, "InferenceSession", Session)
+    monkeypatch.setitem(session_module._DEVICES, CUDA, "cpu")
+    session = OnnxSession(*constant_model([ROW]), providers=[CUDA, CPU], io_binding=True)
+
+    for _ in range(2):
+        (raw,) = session.run(np.zeros((1, 3, 32, 64), dtype=np.float32))
+        np.testing.assert_allclose(raw, [[ROW]], rtol=1e-6)
+
+    exact = {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"}
+    assert started == [{**exact, "enable_cuda_graph": "1"}, exact]
+
+
+def test_halves_may_use_tensor_cores_and_free_shapes_are_not_recorded(spot_model, monkeypatch):
+    started = []
+    start = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [CUDA, CPU])
+    monkeypatch.setattr(start, "get_providers", lambda self: [CUDA, CPU])
+    monkeypatch.setattr(
+        onnxruntime,
+        "InferenceSession",
+        lambda model, options, providers, **how: started.append(providers[0][1]) or start(model, options),
+    )
+    monkeypatch.setitem(session_module._DEVICES, CUDA, "cpu")
+
+    OnnxSession(*spot_model(half_io=True, precision="fp16"), providers=[CUDA, CPU], io_binding=True)
+    OnnxSession(*spot_model(dynamic_size=True), providers=[CUDA, CPU], io_binding=True)
+    OnnxSession(*spot_model(), providers=[CUDA, CPU], io_binding=True, one_launch=False)
+
+    assert ["use_tf32" in settings for settings in started] == [False, True, True]
+    assert ["enable_cuda_graph" in settings for settings in started] == [True, False, False]
+
+
+def test_a_bound_model_of_fixed_size_refuses_another(spot_model):
+    session = OnnxSession(*spot_model(), io_binding=True)
+
+    with pytest.raises(ValueError, match=r"the model takes \[1, 3, 32, 64\], got \[1, 3, 64, 64\]"):
+        session.run(np.zeros((1, 3, 64, 64), dtype=np.float32))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import copy
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -31,16 +31,13 @@ class WeightAverage:
         self.updates += 1
         decay = self._decay * (1 - math.exp(-self.updates / self._ramp_steps))
         pairs = list(zip(_tensors(self.model), _tensors(model), strict=True))
+        numbers = [pair for pair in pairs if pair[0].is_floating_point()]
+        counts = [pair for pair in pairs if not pair[0].is_floating_point()]
         # All in one launch: one by one a GPU takes longer to start them than for the whole step of the optimiser.
-        means, values = _columns(pair for pair in pairs if pair[0].is_floating_point())
-        torch._foreach_lerp_(means, values, 1 - decay)
-        torch._foreach_copy_(*_columns(pair for pair in pairs if not pair[0].is_floating_point()))
+        torch._foreach_lerp_([mean for mean, _ in numbers], [value for _, value in numbers], 1 - decay)
+        if counts:
+            torch._foreach_copy_([mean for mean, _ in counts], [value for _, value in counts])
 
 
 def _tensors(model: YoloV5) -> Iterator[Tensor]:
     return itertools.chain(model.parameters(), model.buffers())
-
-
-def _columns(pairs: Iterable[tuple[Tensor, Tensor]]) -> tuple[list[Tensor], list[Tensor]]:
-    means, values = zip(*pairs, strict=True)
-    return list(means), list(values)
