@@ -222,7 +222,7 @@ class LightPlaces:
         if self._unsettled:
             self._solve(rows)
             self._unsettled = False
-        silent = self._last_ns.max(axis=1).take(rows) < stamp_ns - _SETTLED_S * 1e9
+        silent = np.maximum.reduce(self._last_ns, axis=1).take(rows) < stamp_ns - _SETTLED_S * 1e9
         if np.count_nonzero(silent):
             self._close(rows[silent])
             self._let_drift(stamp_ns)

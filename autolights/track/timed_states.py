@@ -128,7 +128,7 @@ class TimedStates:
             several = np.bincount(rows, minlength=n)[rows] > 1
             class_probs = np.concatenate([look.class_probs for look in seen])
             all_said, all_reached, alone = self._reader.read(class_probs, self._types[rows])
-            all_said[several] += alone[several, None]
+            all_said += np.where(several, alone, 0.0)[:, None]
             start = 0
             for look in seen:
                 here = slice(start, start + len(look.rows))
