@@ -102,12 +102,10 @@ def runtime(road: Road, config: TrackConfig) -> Said:
     class_ids, flashing = np.empty((sets, count), dtype=np.int64), np.empty((sets, count), dtype=bool)
     for number in range(sets):
         states.let_time_pass(round((1 + number * _DT_S) * 1e9))
-        looks = []
-        for rows, class_probs in road.looks(number):
-            telling = own[class_probs.argmax(axis=1)]
-            heights = np.full(int(telling.sum()), _HEIGHT_PX)
-            looks.append(Looks(rows[telling], class_probs[telling], heights, np.empty(0, dtype=np.int64)))
-        states.take_in(looks)
+        rows, class_probs = (np.concatenate(column) for column in zip(*road.looks(number), strict=True))
+        telling = own[class_probs.argmax(axis=1)]
+        heights = np.full(int(telling.sum()), _HEIGHT_PX)
+        states.take_in(Looks(rows[telling], class_probs[telling], heights, np.empty(0, dtype=np.int64)))
         states.end_set(np.ones(count, dtype=bool), np.zeros(count, dtype=bool))
         reports = states.report()
         class_ids[number] = np.where(reports.doubtful, -1, reports.class_ids)

@@ -1,6 +1,6 @@
 """All tracks: observations of several cameras in, one estimate per light out (Wu et al. 2023, Sec. III-C)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -36,13 +36,11 @@ _VIEW = partial(tuple.__new__, CameraView)  # a third of the time of a call with
 
 
 class _Seen(NamedTuple):
-    """What images told: detections of tracks, tracks that they should have shown but did not, and which images."""
+    """What images told: detections of tracks, image by image, and tracks that they should have shown but did not."""
 
     rows: IntArray
     detections: IntArray
-    images: IntArray
     missed: IntArray
-    missed_in: IntArray
 
 
 class TrackManager:
@@ -76,6 +74,8 @@ class TrackManager:
         self._map_groups = group_numbers(lights)
         self._reporter = Reporter(lights, signals, config)
         self._table = TrackTable.empty(len(self._type_names))
+        nobody: IntArray = np.empty(0, dtype=np.int64)
+        self._no_looks = Looks(nobody, np.empty((0, len(signals.classes))), np.empty(0), nobody)
         make = TimedStates if config.mode == "timed" else PaperStates
         self._states: LightStates = make(signals, hmm, config)
         self._row_of_light = np.full(len(lights) + 1, -1, dtype=np.int64)  # the last stands for no light of the map
@@ -125,12 +125,12 @@ class TrackManager:
         self._states.let_time_pass(stamp_ns)
         self._touched = np.zeros(len(self._table), dtype=bool)
         seen: list[_Seen] = []
-        looks: list[Looks] = []
+        looks = self._no_looks
         if observations:
             if not isinstance(observations, SetObservation):
                 observations = SetObservation.of(observations)
             seen = [self._match(observations, stamp_ns), *self._start_tracks(observations, stamp_ns)]
-            looks = [look for sight in seen for look in self._looks(observations, sight)]
+            looks = self._looks(observations, seen)
         self._states.take_in(looks)
         self._count_set(seen, stamp_ns, elapsed_ns)
         self._reports = self._states.report()
@@ -249,9 +249,9 @@ class TrackManager:
                 min_height_px=self._config.min_missed_px,
                 together=missed_in[:, None] == observation.seen_in,
             )
-            missed, missed_in = missed[in_view], missed_in[in_view]
+            missed = missed[in_view]
         self._remember(rows, observation, detections, images)
-        return _Seen(rows, detections, images, missed, missed_in)
+        return _Seen(rows, detections, missed)
 
     def _note_views(
         self,
@@ -367,7 +367,7 @@ class TrackManager:
             fresh = np.concatenate([fresh, rows[~again]])
             boxes_xyxy = observation.detections.boxes_xyxy[detections]
             self._note_views(observation, rows, images, boxes_xyxy, rows[:0], rows[:0])
-            seen.append(_Seen(rows, detections, images, rows[:0], rows[:0]))
+            seen.append(_Seen(rows, detections, rows[:0]))
         return seen
 
     def _new_tracks(
@@ -397,20 +397,17 @@ class TrackManager:
             box_sigma_px=self._config.box_sigma_px,
         )
 
-    def _looks(self, observation: SetObservation, seen: _Seen) -> Iterator[Looks]:
-        """What each camera says about states: a light that is seen as another type than its own says nothing."""
+    def _looks(self, observation: SetObservation, seen: Sequence[_Seen]) -> Looks:
+        """What the images say about states: a light that is seen as another type than its own says nothing."""
+        rows, detections = (np.concatenate([getattr(one, name) for one in seen]) for name in ("rows", "detections"))
         found = observation.detections
-        own_types, seen_types = self._table.types.take(seen.rows), self._class_types.take(found.class_ids)
-        telling = (seen_types.take(seen.detections) == own_types).nonzero()[0]
-        rows, detections, images = seen.rows.take(telling), seen.detections.take(telling), seen.images.take(telling)
-        class_probs, boxes_xyxy = found.class_probs.take(detections, axis=0), found.boxes_xyxy.take(detections, axis=0)
-        heights_px = boxes_xyxy[:, 3] - boxes_xyxy[:, 1]
-        every = range(len(observation) + 1)
-        bounds, missed = images.searchsorted(every).tolist(), seen.missed_in.searchsorted(every).tolist()
-        for image in range(len(observation)):
-            here = slice(bounds[image], bounds[image + 1])
-            in_vain = seen.missed[missed[image] : missed[image + 1]]
-            yield Looks(rows[here], class_probs[here], heights_px[here], in_vain)
+        own_types, seen_types = self._table.types.take(rows), self._class_types.take(found.class_ids)
+        telling = (seen_types.take(detections) == own_types).nonzero()[0]
+        rows, detections = rows.take(telling), detections.take(telling)
+        boxes_xyxy = found.boxes_xyxy.take(detections, axis=0)
+        return Looks(
+            rows, found.class_probs.take(detections, axis=0), boxes_xyxy[:, 3] - boxes_xyxy[:, 1], seen[0].missed
+        )
 
     def _count_set(self, seen: Sequence[_Seen], set_ns: int, elapsed_ns: int) -> None:
         detected, expected = np.zeros((2, len(self._table)), dtype=bool)

@@ -176,17 +176,16 @@ class PaperStates:
         """Note the time; beliefs move with observations alone."""
         self._now_ns = stamp_ns
 
-    def take_in(self, looks: Sequence[Looks]) -> None:
+    def take_in(self, looks: Looks) -> None:
         """One fixed A and one update for each look."""
-        for look in looks:
-            class_ids = np.argmax(look.class_probs, axis=1) if len(look.rows) else look.rows
-            for row, class_probs, class_id, height_px in zip(
-                look.rows.tolist(), look.class_probs, class_ids.tolist(), look.heights_px.tolist(), strict=True
-            ):
-                model = self._models[self._types[row]]
-                predicted = hmm_predict(self._beliefs[row], model.params, None)
-                self._beliefs[row] = hmm_update(predicted, class_probs[model.class_ids], model.params)
-                self._remember(self._histories[row], Sighting(self._now_ns, class_id, height_px))
+        class_ids = np.argmax(looks.class_probs, axis=1) if len(looks.rows) else looks.rows
+        for row, class_probs, class_id, height_px in zip(
+            looks.rows.tolist(), looks.class_probs, class_ids.tolist(), looks.heights_px.tolist(), strict=True
+        ):
+            model = self._models[self._types[row]]
+            predicted = hmm_predict(self._beliefs[row], model.params, None)
+            self._beliefs[row] = hmm_update(predicted, class_probs[model.class_ids], model.params)
+            self._remember(self._histories[row], Sighting(self._now_ns, class_id, height_px))
 
     def _remember(self, history: deque[Sighting], sighting: Sighting) -> None:
         history.append(sighting)

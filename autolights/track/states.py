@@ -1,6 +1,5 @@
 """What the tracks know of their lights' states: the interface of the two modes, and what passes through it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -9,10 +8,10 @@ from autolights.core import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What one camera saw of lights at one instant.
+    """What the images of one set showed of lights.
 
     Attributes:
-        rows: (m,) tracks, each at most once.
+        rows: (m,) tracks, each at most once in an image: known ones image by image, then new ones.
         class_probs: (m, C) of all classes.
         heights_px: (m,) of the boxes.
         missed: (j,) tracks that it should have seen and did not, as far as that says something about their state.
@@ -73,8 +72,8 @@ class LightStates(Protocol):
     def let_time_pass(self, stamp_ns: int) -> None:
         """Predict to the stamp of a set of frames."""
 
-    def take_in(self, looks: Sequence[Looks]) -> None:
-        """Update by a set of frames, one entry for each camera."""
+    def take_in(self, looks: Looks) -> None:
+        """Update by a set of frames."""
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
         """Say which tracks are alive, as the dead share nothing, and whose past is over: they will start anew."""

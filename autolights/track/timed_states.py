@@ -1,6 +1,6 @@
 """Mode ``timed``: what is believed of all tracks, moved through time, updated and read in arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -112,63 +112,68 @@ class TimedStates:
         if len(self._beliefs):
             self._beliefs.predict(elapsed_ms)
 
-    def take_in(self, looks: Sequence[Looks]) -> None:
-        """Update by a set of frames, one entry for each camera.
+    def take_in(self, looks: Looks) -> None:
+        """Update by a set of frames.
 
         That a camera missed a light which another one saw says nothing about its state.
         """
-        n, k, levels = len(self._types), self._widest, self._reader.levels
-        said, reached = np.ones((n, k)), np.zeros((n, levels - 1, k))
+        n, beliefs = len(self._types), self._beliefs
         looked = self._looked = np.zeros(n, dtype=bool)
-        surest = np.zeros((n, self._class_count))
-        seen = [look for look in looks if len(look.rows)]
-        if seen:
-            # All cameras are read at once: each call costs more than its numbers.
-            rows = np.concatenate([look.rows for look in seen])
-            several = np.bincount(rows, minlength=n)[rows] > 1
-            class_probs = np.concatenate([look.class_probs for look in seen])
-            all_said, all_reached, alone = self._reader.read(class_probs, self._types[rows])
-            all_said += np.where(several, alone, 0.0)[:, None]
-            start = 0
-            for look in seen:
-                here = slice(start, start + len(look.rows))
-                said[look.rows] *= all_said[here]
-                reached[look.rows] = np.maximum(reached[look.rows], all_reached[here])
-                start = here.stop
-            looked[rows] = True
-            by_confidence = class_probs.max(axis=1).argsort(kind="stable")
-            surest[rows[by_confidence]] = class_probs[by_confidence]
-        self._surely_seen = reached[:, -1] if levels > 1 else np.zeros((n, k))
-        likelihood = np.where(looked[:, None], seen_likelihood(said, reached), 1.0)
-        for look in looks:
-            if len(look.missed):
-                likelihood[look.missed[~looked[look.missed]]] = self._missed
-        beliefs = self._beliefs
+        self._surely_seen = np.zeros((n, self._widest))
+        likelihood, leading = np.ones((n, len(self._missed))), None
+        if len(looks.rows):
+            order = looks.rows.argsort(kind="stable")
+            rows, class_probs = looks.rows.take(order), looks.class_probs.take(order, axis=0)
+            begins = np.ones(len(rows), dtype=bool)  # whether a look is the first of its track
+            np.not_equal(rows[1:], rows[:-1], out=begins[1:])
+            starts = begins.nonzero()[0]
+            seen = rows.take(starts)
+            looked[seen] = True
+            said, reached, alone = self._reader.read(class_probs, self._types.take(rows))
+            several = np.bincount(rows).take(rows) > 1
+            said += np.where(several, alone, 0.0)[:, None]
+            said, reached = np.multiply.reduceat(said, starts), np.maximum.reduceat(reached, starts)
+            likelihood[seen] = seen_likelihood(said, reached)
+            if self._reader.levels > 1:
+                self._surely_seen[seen] = reached[:, -1]
+            by_confidence = np.maximum.reduce(class_probs, axis=1).argsort(kind="stable")
+            surest = np.zeros(n, dtype=np.int64)
+            surest[rows.take(by_confidence)] = by_confidence
+            leading = self._of_own_type(class_probs.take(surest.take(beliefs.rows), axis=0))
+        if len(looks.missed):
+            likelihood[looks.missed[~looked[looks.missed]]] = self._missed
         if not len(beliefs):
             self._pairs = np.full(n, -1)
             return
-        new, leading = self._second_classes(surest, looked)
-        telling = new.nonzero()[0]
-        seconds = None
-        if len(telling):
-            types = beliefs.lights.types.take(telling)
-            seconds = telling, self._filter.seconds(leading.take(telling, axis=0), types)
-        beliefs.update(likelihood.take(beliefs.rows, axis=0), seconds)
+        beliefs.update(likelihood.take(beliefs.rows, axis=0), self._second_classes(leading, looked))
 
-    def _second_classes(self, surest: FloatArray, looked: BoolArray) -> tuple[BoolArray, FloatArray]:
-        """(m,) whose second class says something new, and (m, k) probabilities of the classes of each light's type.
+    def _of_own_type(self, class_probs: FloatArray) -> FloatArray:
+        """(m, k) probabilities of the classes of each light's type, of (m, C) of all classes."""
+        padded = np.zeros((len(class_probs), self._class_count + 1))
+        padded[:, :-1] = class_probs
+        first_columns = padded.shape[1] * np.arange(len(padded))[:, None]
+        return padded.take(self._reader.columns.take(self._beliefs.lights.types, axis=0) + first_columns)
+
+    def _second_classes(self, leading: FloatArray | None, looked: BoolArray) -> tuple[IntArray, FloatArray] | None:
+        """Whose second class says something new, and what, for `Beliefs.update`; None if nobody's does.
 
         While the leading two stay as they were, they say nothing new.
+
+        Args:
+            leading: (m, k) what the surest camera says of each light that was looked at; None if none was.
+            looked: (n,) at which tracks.
         """
         rows, types = self._beliefs.rows, self._beliefs.lights.types
-        padded = np.zeros((len(rows), self._class_count + 1))
-        padded[:, :-1] = surest.take(rows, axis=0)
-        first_columns = padded.shape[1] * np.arange(len(rows))[:, None]
-        leading = padded.take(self._reader.columns.take(types, axis=0) + first_columns)
-        pairs = np.where(looked.take(rows), leading_pairs(leading), -1)
         before, self._pairs = self._pairs.take(rows), np.full(len(looked), -1)
+        if leading is None:
+            return None
+        pairs = np.where(looked.take(rows), leading_pairs(leading), -1)
         self._pairs[rows] = pairs
-        return (pairs >= 0) & (pairs != before) & (self._filter.second_if_wrong.take(types) > 0), leading
+        new = (pairs >= 0) & (pairs != before) & (self._filter.second_if_wrong.take(types) > 0)
+        telling = new.nonzero()[0]
+        if not len(telling):
+            return None
+        return telling, self._filter.seconds(leading.take(telling, axis=0), types.take(telling))
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
         """Say which tracks are alive: only these share evidence. Those whose past is over take no room from now on."""

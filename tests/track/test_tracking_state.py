@@ -172,7 +172,7 @@ def test_what_is_remembered_of_one_of_two_tracks_is_kept_when_they_become_one(
     probs[[0, 1], [scene.signals.class_ids[name] for name in ("3-red", "3-green")]] = 0.9
     nobody = np.empty(0, dtype=np.int64)
     states.let_time_pass(0)
-    states.take_in([Looks(np.arange(2), probs, np.full(2, 30.0), nobody)])
+    states.take_in(Looks(np.arange(2), probs, np.full(2, 30.0), nobody))
     alive = np.arange(2) != forgotten
     states.end_set(alive, ~alive)
     known = states.explain(1 - forgotten)["belief"]
