@@ -337,6 +337,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--odds", type=float, nargs="+", default=[1, 3, 9, 30], help="change_odds of the rule")
     arguments = parser.parse_args()
+    if arguments.sets <= _SETTLE:
+        parser.error(f"--sets must be above {_SETTLE}, which are not counted; got {arguments.sets}")
     config = load_config("runtime/default", PipelineConfig).track
     road = Road.simulate(arguments.kind, arguments.lights, arguments.sets, arguments.seed)
     params = suite_hmm(road.suite, road.signals)[road.kind]
