@@ -192,7 +192,7 @@ _TARGETS = (
         True,
     ),
     _Target(
-        "fusion and tracking of a set with 20 lights, ms, median",
+        "fusion and tracking of a set of `steady`, ms, median",
         "≤ 1.0",
         _one("steady"),
         lambda f: f.step_ms.median,
@@ -200,7 +200,7 @@ _TARGETS = (
         1.0,
     ),
     _Target(
-        "fusion and tracking of a set with 20 lights, ms, 99th percentile",
+        "fusion and tracking of a set of `steady`, ms, 99th percentile",
         "≤ 2.0",
         _one("steady"),
         lambda f: f.step_ms.p99,
