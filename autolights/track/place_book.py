@@ -32,6 +32,7 @@ class PlaceBook:
         self._row_of_track: dict[int, int] = {}
         self._sizes_m: FloatArray = np.empty((0, 3))
         self._seen_ns: IntArray = np.empty(0, dtype=np.int64)
+        self._known: tuple[TrafficLightMap, FloatArray, BoolArray] | None = None  # of whom `knows` was asked last
 
     def take_in(self, observations: SetObservation, unmapped: TrafficLightMap, stamp_ns: int) -> None:
         """Learn from the pairs of one set of frames.
@@ -101,8 +102,19 @@ class PlaceBook:
         return rows
 
     def knows(self, unmapped: TrafficLightMap) -> BoolArray:
-        """(u,) of which unmapped lights the place is known; track ids for names."""
-        return np.array([int(track) in self._row_of_track for track in unmapped.ids], dtype=bool)
+        """(u,) of which unmapped lights the place is known well; track ids for names."""
+        before, covariances, known = self._known or (None, None, None)
+        if known is None or before is not unmapped or covariances is not self.places.covariances:
+            rows = np.array([self._row_of_track.get(int(track), -1) for track in unmapped.ids], dtype=np.int64)
+            known = self._well(rows)
+            self._known = unmapped, self.places.covariances, known
+        return known
+
+    def well_known(self, track_ids: IntArray) -> tuple[IntArray, FloatArray]:
+        """Which of (n,) unmapped tracks have a place that is known well, and (k, 3) metres of these."""
+        rows = np.array([self._row_of_track.get(track, -1) for track in track_ids.tolist()], dtype=np.int64)
+        which = self._well(rows).nonzero()[0]
+        return which, self.places.positions.take(rows.take(which), axis=0)
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values."""
@@ -158,6 +170,11 @@ class PlaceBook:
         self._sizes_m = np.concatenate([self._sizes_m, source.sizes_m[one]])
         self._seen_ns = np.append(self._seen_ns, 0)
         return len(self._keys) - 1
+
+    def _well(self, rows: IntArray) -> BoolArray:
+        """(n,) of rows of `places`, −1 for none."""
+        well = np.append(self.places.known(), False)
+        return np.asarray(well.take(rows))
 
     def _index(self, keys: list[int]) -> None:
         """Note which row belongs to which key."""

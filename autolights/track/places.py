@@ -31,6 +31,7 @@ _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by i
 _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hidden heads
 _VAGUE_M = 100.0  # an unmapped light can be anywhere
 _NEVER_NS = -(2**62)
+_KNOWN_M = 3.0  # standard deviation of a place, mostly of its depth, that tells more than a single box does
 _SETTLED_S = 10.0  # a light that is not seen for so long has told all it has to tell of the shared errors
 _COLUMNS = (
     "positions",
@@ -96,6 +97,10 @@ class LightPlaces:
         """
         columns = self._columns(camera)
         return self._shared[columns], self._shared_covariance[np.ix_(columns, columns)]
+
+    def known(self) -> BoolArray:
+        """(n,) whether a place is known so well that a single box says nothing new of it."""
+        return np.asarray(np.maximum.reduce(self.covariances.reshape(-1, 9)[:, ::4], axis=1) <= _KNOWN_M**2)
 
     def append(self, positions: FloatArray, headings_deg: FloatArray, sizes_m: FloatArray, *, on_map: bool) -> None:
         """Add lights.

@@ -39,9 +39,8 @@ class UnmappedLights:
         rows = self.rows = (table.map_rows < 0).nonzero()[0]
         if places is not None and places.places.positions is not self._taken_over:
             self._taken_over = places.places.positions
-            found = places.rows_of(table.map_rows.take(rows), table.ids.take(rows))
-            known = (found >= 0).nonzero()[0]
-            table.positions[rows.take(known)] = self._taken_over.take(found.take(known), axis=0)
+            known, positions = places.well_known(table.ids.take(rows))
+            table.positions[rows.take(known)] = positions
         same = np.array_equal(table.ids.take(rows), self._ids) and np.array_equal(table.types.take(rows), self._types)
         if not same:
             self._take_up(table)
