@@ -19,7 +19,7 @@ CPU = "CPUExecutionProvider"
 CUDA = "CUDAExecutionProvider"
 # Where the memory of a provider's own tensors is; all others work on the host's.
 _DEVICES = {CUDA: "cuda", "TensorrtExecutionProvider": "cuda"}
-# Convolutions are chosen by cuDNN's advice: to try them all takes most of a second for each shape, and gains nothing.
+# Convolutions are chosen by cuDNN's advice: to try them all makes the first run of each shape slow.
 _CUDA_OPTIONS = {"cudnn_conv_algo_search": "HEURISTIC"}
 _PACKAGES = {
     CUDA: "onnxruntime-gpu, CUDA and cuDNN",
@@ -199,8 +199,8 @@ def _start(
     """Load a model; `record` lets CUDA record its first run, if it has a kernel for each node."""
     cuda = dict(_CUDA_OPTIONS)
     if info.precision != "fp16":
-        # Else CUDA rounds what convolutions multiply to ten bits (TF32): a thousandth of a probability. The option
-        # forbids all tensor cores, so a model in halves, which is meant for them, does not get it.
+        # Else CUDA rounds what convolutions multiply to ten bits (TF32). The option forbids all tensor cores, so a
+        # model in halves, which is meant for them, does not get it.
         cuda["use_tf32"] = "0"
     if record:
         recorded = {**cuda, "enable_cuda_graph": "1"}
