@@ -1,8 +1,6 @@
 """All tracks: observations of several cameras in, one estimate per light out (Wu et al. 2023, Sec. III-C)."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +15,7 @@ from autolights.core import (
     TrafficLightMap,
 )
 from autolights.core.errors import DataError
+from autolights.track.camera_views import note_views
 from autolights.track.config import TrackConfig
 from autolights.track.linking import link_across_cameras
 from autolights.track.localization import information_along
@@ -25,14 +24,12 @@ from autolights.track.observation import CameraObservation, SetObservation
 from autolights.track.paper_states import PaperStates
 from autolights.track.place_book import PlaceBook
 from autolights.track.reporting import Reporter
+from autolights.track.saved_state import STATE_FORMAT, refuse_other
 from autolights.track.signal_groups import group_numbers
 from autolights.track.states import LightStates, Looks, Reports
 from autolights.track.timed_states import TimedStates
 from autolights.track.track_table import TrackTable
 from autolights.track.unmapped_lights import UnmappedLights
-
-STATE_FORMAT = 3
-_VIEW = partial(tuple.__new__, CameraView)  # a third of the time of a call with names
 
 
 class _Seen(NamedTuple):
@@ -196,12 +193,8 @@ class TrackManager:
         Raises:
             DataError: If the state is of another format, signal description, map or setting, or is damaged.
         """
-        if values.get("format") != STATE_FORMAT:
-            raise DataError(f"tracking state: format {values.get('format')!r} is not {STATE_FORMAT}; start without it")
         try:
-            self._check_same("signals", values["signals"], self._signals.name)
-            for name, ours in self._config.model_dump(mode="json").items():
-                self._check_same(f"setting track.{name}", values["config"].get(name), ours)
+            refuse_other(values, self._signals.name, self._config)
             row_of_id = {light_id: row for row, light_id in enumerate(self._lights.ids)}
             unknown = [light_id for light_id in values["map_ids"] if light_id is not None and light_id not in row_of_id]
             if unknown:
@@ -220,10 +213,6 @@ class TrackManager:
         self._place_map_lights()
         self._views, self._reports = {}, None
 
-    def _check_same(self, what: str, saved: object, ours: object) -> None:
-        if saved != ours:
-            raise DataError(f"tracking state: {what} was {saved!r} when it was saved and is {ours!r} now")
-
     def _match(self, observation: SetObservation, set_ns: int) -> _Seen:
         """Give each detection that was matched to its track; note who was expected in vain."""
         projected, association = observation.projected, observation.association
@@ -241,7 +230,8 @@ class TrackManager:
         left, missed = left[missed >= 0], missed[missed >= 0]
         images, missed_in = observation.known_in.take(lights), observation.known_in.take(left)
         boxes = observation.detections.boxes_xyxy
-        self._note_views(observation, rows, images, boxes.take(detections, axis=0), missed, missed_in)
+        seen_at = boxes.take(detections, axis=0)
+        note_views(self._views, observation.shots, rows, images, seen_at, missed, missed_in)
         if len(missed):
             in_view = in_plain_view(
                 projected.boxes_xyxy[left],
@@ -252,32 +242,6 @@ class TrackManager:
             missed = missed[in_view]
         self._remember(rows, observation, detections, images)
         return _Seen(rows, detections, missed)
-
-    def _note_views(
-        self,
-        observation: SetObservation,
-        rows: IntArray,
-        images: IntArray,
-        boxes_xyxy: FloatArray,
-        missed: IntArray,
-        missed_in: IntArray,
-    ) -> None:
-        """Note which images show a light, and which should have."""
-        cameras = [camera.name for camera in observation.shots.optics.cameras]
-        stamps_ns = [pose.stamp_ns for pose in observation.shots.poses]
-        shown: list[tuple[int, int, Any]] = list(
-            zip(images.tolist(), rows.tolist(), map(tuple, boxes_xyxy.tolist()), strict=True)
-        )
-        if len(missed):
-            shown += [(image, row, None) for image, row in zip(missed_in.tolist(), missed.tolist(), strict=True)]
-            shown.sort(key=itemgetter(0))
-        views = self._views
-        for image, row, box in shown:
-            view = _VIEW((cameras[image], stamps_ns[image], box))
-            if row in views:
-                views[row].append(view)
-            else:
-                views[row] = [view]
 
     def _rows_of(self, known: IntArray) -> IntArray:
         """Rows of the table for rows of map and index; −1 for a map light that has no track."""
@@ -331,22 +295,16 @@ class TrackManager:
             np.add.at(table.type_votes, (rows, seen_types), 1)
         else:  # another type may win, and then lose again: one image after the other
             for image in np.unique(images):
-                self._vote_types(rows[images == image], seen_types[images == image])
+                here = images == image
+                changed = table.vote(rows[here], seen_types[here])
+                if len(changed):
+                    self._states.start_anew(changed, table.types[changed])
         localized = (~np.isnan(observation.positions[:, 0].take(detections))).nonzero()[0]
         if len(localized):
             detections = detections.take(localized)
             information = self._information(observation, detections)
             positions = observation.positions.take(detections, axis=0)
             table.refine_positions(rows.take(localized), positions, information)
-
-    def _vote_types(self, rows: IntArray, seen_types: IntArray) -> None:
-        table = self._table
-        table.type_votes[rows, seen_types] += 1
-        votes = table.type_votes[rows]
-        outvoted = votes.max(axis=1) > votes[np.arange(len(rows)), table.types[rows]]
-        if outvoted.any():
-            table.types[rows[outvoted]] = np.argmax(votes[outvoted], axis=1)
-            self._states.start_anew(rows[outvoted], table.types[rows[outvoted]])
 
     def _start_tracks(self, observation: SetObservation, set_ns: int) -> list[_Seen]:
         """Make tentative tracks of the detections that nobody knew; what two cameras see twice becomes one."""
@@ -366,7 +324,7 @@ class TrackManager:
             rows[~again] = self._new_tracks(observation, detections[~again], vehicle, set_ns)
             fresh = np.concatenate([fresh, rows[~again]])
             boxes_xyxy = observation.detections.boxes_xyxy[detections]
-            self._note_views(observation, rows, images, boxes_xyxy, rows[:0], rows[:0])
+            note_views(self._views, observation.shots, rows, images, boxes_xyxy, rows[:0], rows[:0])
             seen.append(_Seen(rows, detections, rows[:0]))
         return seen
 

@@ -96,23 +96,21 @@ class PlaceBook:
 
     def rows_of(self, map_rows: IntArray, track_ids: IntArray) -> IntArray:
         """(n,) rows of `places`, −1 where nothing is known, by (n,) rows of the map; where negative by (n,) tracks."""
-        rows = self._row_of_light[map_rows]
-        for i in (map_rows < 0).nonzero()[0].tolist():
-            rows[i] = self._row_of_track.get(int(track_ids[i]), -1)
+        rows, unmapped = self._row_of_light[map_rows], map_rows < 0
+        rows[unmapped] = self._rows_of_tracks(track_ids[unmapped].tolist())
         return rows
 
     def knows(self, unmapped: TrafficLightMap) -> BoolArray:
         """(u,) of which unmapped lights the place is known well; track ids for names."""
         before, covariances, known = self._known or (None, None, None)
         if known is None or before is not unmapped or covariances is not self.places.covariances:
-            rows = np.array([self._row_of_track.get(int(track), -1) for track in unmapped.ids], dtype=np.int64)
-            known = self._well(rows)
+            known = self._well(self._rows_of_tracks(map(int, unmapped.ids)))
             self._known = unmapped, self.places.covariances, known
         return known
 
     def well_known(self, track_ids: IntArray) -> tuple[IntArray, FloatArray]:
         """Which of (n,) unmapped tracks have a place that is known well, and (k, 3) metres of these."""
-        rows = np.array([self._row_of_track.get(track, -1) for track in track_ids.tolist()], dtype=np.int64)
+        rows = self._rows_of_tracks(track_ids.tolist())
         which = self._well(rows).nonzero()[0]
         return which, self.places.positions.take(rows.take(which), axis=0)
 
@@ -170,6 +168,9 @@ class PlaceBook:
         self._sizes_m = np.concatenate([self._sizes_m, source.sizes_m[one]])
         self._seen_ns = np.append(self._seen_ns, 0)
         return len(self._keys) - 1
+
+    def _rows_of_tracks(self, tracks: Iterable[int]) -> IntArray:
+        return np.array([self._row_of_track.get(track, -1) for track in tracks], dtype=np.int64)
 
     def _well(self, rows: IntArray) -> BoolArray:
         """(n,) of rows of `places`, −1 for none."""

@@ -138,6 +138,15 @@ class TrackTable:
         too_old = (self.age_s(set_ns) > config.max_coast_s) if config.mode == "timed" else False
         return np.asarray(~self.alive | too_old)
 
+    def vote(self, rows: IntArray, seen_types: IntArray) -> IntArray:
+        """Count what lights of one image were seen as; returns the rows that have another type now."""
+        self.type_votes[rows, seen_types] += 1
+        votes = self.type_votes[rows]
+        outvoted = votes.max(axis=1) > votes[np.arange(len(rows)), self.types[rows]]
+        changed: IntArray = rows[outvoted]
+        self.types[changed] = np.argmax(votes[outvoted], axis=1)
+        return changed
+
     def refine_positions(self, rows: IntArray, positions: FloatArray, information: FloatArray) -> None:
         """Average in localisations of unmapped lights, each weighted by what it says (a static Kalman filter).
 
