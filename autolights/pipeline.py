@@ -258,7 +258,9 @@ class LightPipeline:
         if self.config.variant == "od":
             return [light for view in views for light in self._memoryless.detected(*view, set_ns)]
         unmapped = self._tracks.unmapped
-        observations = self._observer.observe(views, unmapped, self._places)
+        observations = self._observer.observe(
+            views, unmapped, self._places, localize_all=self.config.variant == "fusion"
+        )
         self._behind = observations, unmapped
         if self.config.variant == "fusion":
             return [light for observation in observations for light in self._memoryless.fused(observation, set_ns)]

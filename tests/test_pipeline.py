@@ -40,6 +40,24 @@ def test_variants_of_the_ablation(make_scene: Callable) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("box", "score"), [((600, 300, 603, 308), 0.9), ((600, 300, 612, 336), 0.3)])
+def test_what_can_be_no_new_light_still_has_a_place_without_tracks(
+    make_scene: Callable, box: tuple[float, ...], score: float
+) -> None:
+    """Far beyond the range, and of a score too low: tracking does not even localise them."""
+    scene = make_scene(LIGHTS, speed_mps=0)
+    probs = np.full((1, 13), 0.001)
+    probs[0, scene.signals.class_ids["3-red"]] = score
+    found = Detections(np.array([box], dtype=float), np.ones(1), probs)
+    frames = [CameraFrame("narrow", 0, BLACK)]
+    (alone,) = scene.pipeline(PipelineConfig(variant="fusion")).step_detections(frames, [found])
+    assert np.isfinite(alone.position).all()
+    assert alone.distance_m > (64 if score > 0.5 else 10)
+    full = scene.pipeline()
+    assert full.step_detections(frames, [found]) == []
+    assert full.explain()["images"][0]["new_lights"] == []
+
+
 def test_step_detects_at_each_image(make_scene: Callable) -> None:
     scene = make_scene(LIGHTS, cameras=("narrow", "wide"), speed_mps=0)
 

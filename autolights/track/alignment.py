@@ -21,7 +21,7 @@ from pydantic import Field
 
 from autolights.core import BoolArray, CameraModel, Config, FloatArray, IntArray
 from autolights.core.shots import Shots
-from autolights.track.alignment_vote import AMBIGUOUS_SIGMAS, MATCH_SIGMAS, MAX_HEIGHT_RATIO, SEARCH_SIGMAS, vote
+from autolights.track.alignment_vote import MATCH_SIGMAS, MAX_HEIGHT_RATIO, SEARCH_SIGMAS, vote
 from autolights.track.camera_errors import ErrorEffect
 
 
@@ -249,9 +249,7 @@ class _Problem:
         lights, detections = self.lights.take(close), self.detections.take(close)
         contested = (np.bincount(lights).take(lights) > 1) | (np.bincount(detections).take(detections) > 1)
         vague = distances.take(close) >= MATCH_SIGMAS - reached.take(close)
-        # Two errors that move some light apart by more than this may both be right: that is for the vote to judge.
-        apart_by_reach = 2 * reach > AMBIGUOUS_SIGMAS
-        doubtful = {*images.take(lights[contested | vague]).tolist(), *images[apart_by_reach].tolist()}
+        doubtful = set(images.take(lights[contested | vague]).tolist())
 
         changes, covariances, pairs = self._fit(close, priors)
         sure = pairs > 0

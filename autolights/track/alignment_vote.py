@@ -12,7 +12,7 @@ MAX_HEIGHT_RATIO = 1.6  # of a pair's boxes; half-hidden heads are left out of t
 SEARCH_SIGMAS = 3.5  # of what was expected
 _GAIN = 4.5  # a pair within three standard deviations speaks for an error, most if it fits exactly
 MATCH_SIGMAS = (2 * _GAIN) ** 0.5
-AMBIGUOUS_SIGMAS = 3.0  # errors that move no light farther apart are one and the same
+_AMBIGUOUS_SIGMAS = 3.0  # errors that move no light farther apart are one and the same
 _MAX_PROPOSALS = 48  # those nearest to what was expected
 _AMBIGUOUS = 1.0  # two errors whose votes differ by less are both possible
 
@@ -57,7 +57,9 @@ def vote(
         error, covariance, count = _fit(squares[:, 0], pairs, jacobians, sigmas_px, precision)
         return error, covariance, count, count > 0
     apart_px = np.abs(moved_px - moved_px[:, best, None]).max(axis=0)
-    others = apart_px > AMBIGUOUS_SIGMAS * sigmas_px.max()
+    # Nor is an error another answer if the same pairs agree on it.
+    other_pairs = ((agreement > 0) != (agreement[:, best, None] > 0)).any(axis=0)
+    others = other_pairs & (apart_px > _AMBIGUOUS_SIGMAS * sigmas_px.max())
     sure = votes[best] - votes[others].max(initial=-np.inf) > _AMBIGUOUS
     return error, covariance, count, bool(sure)
 

@@ -6,6 +6,20 @@ from autolights.core import BoolArray, FloatArray, IntArray
 from autolights.core.shots import Shots
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
+_SHRUNK = 1.4  # no lens draws a light so much smaller than a pinhole would
+
+
+def may_be_near(heights_px: FloatArray, heights_m: FloatArray, seen_in: IntArray, shots: Shots) -> BoolArray:
+    """(m,) whether detections are tall enough to be within their cameras' range, before they are localised.
+
+    Args:
+        heights_px: (m,) of the boxes.
+        heights_m: (m,) of the housings.
+        seen_in: (m,) which image each lies in.
+        shots: The images.
+    """
+    reach_px_m = _SHRUNK * shots.optics.range_m / shots.optics.focal_px[1]
+    return np.asarray(heights_m <= heights_px * reach_px_m.take(seen_in))
 
 
 def may_be_new(

@@ -23,7 +23,8 @@ class CameraObservation:
         projected: n known lights; rows of the map come first, then those of `TrackManager.unmapped`.
         cost: (n, m) pixels of each pair, +inf where it is forbidden.
         association: Pairs of rows of `projected` and `detections`.
-        positions: (m, 3) metres: each detection localised by its size; NaN for lights whose place is known.
+        positions: (m, 3) metres: detections localised by their size; NaN where a light's place is known, and, unless
+            all were asked for, where a detection is neither a known light nor a new one.
         new_lights: Rows of detections that may be lights which nobody knew.
     """
 
@@ -57,7 +58,8 @@ class SetObservation:
         known_in: (n,) which image each lies in.
         cost: (n, m) pixels of each pair, +inf where it is forbidden.
         association: Pairs of rows of `projected` and `detections`.
-        positions: (m, 3) metres: each detection localised by its size; NaN for lights whose place is known.
+        positions: (m, 3) metres: detections localised by their size; NaN where a light's place is known, and, unless
+            all were asked for, where a detection is neither a known light nor a new one.
         new_lights: Rows of detections that may be lights which nobody knew.
     """
 

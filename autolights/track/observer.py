@@ -13,7 +13,7 @@ from autolights.track.association import Association, associate_pairs, pair_cost
 from autolights.track.known_lights import ANY_CODE, KnownLights, Surroundings
 from autolights.track.lights_in_images import LightsInImages, project_known
 from autolights.track.localization import localize_in_images
-from autolights.track.new_lights import may_be_new
+from autolights.track.new_lights import may_be_near, may_be_new
 from autolights.track.observation import SetObservation
 from autolights.track.place_book import PlaceBook
 
@@ -68,7 +68,12 @@ class Observer:
         return project_known(self._around(pose.position, unmapped, places), Shots.of([camera], [pose]))
 
     def observe(
-        self, views: Sequence[View], unmapped: TrafficLightMap, places: PlaceBook | None = None
+        self,
+        views: Sequence[View],
+        unmapped: TrafficLightMap,
+        places: PlaceBook | None = None,
+        *,
+        localize_all: bool = False,
     ) -> SetObservation:
         """Hold images against the lights of the map and the unmapped ones.
 
@@ -77,6 +82,8 @@ class Observer:
             unmapped: Lights that the map does not hold.
             places: Where lights stand, as far as the images have told: those of the map are looked for there, and
                 detections of unmapped ones are not localised again. None takes the map's word.
+            localize_all: Localise what is no known light's, even where it is of no use: by far too far away, or of a
+                score too low.
         """
         config = self._config
         ordered = sorted(views, key=lambda view: (view[1].stamp_ns, view[0].name))
@@ -103,14 +110,13 @@ class Observer:
         cost = np.full((len(lights), len(detections)), np.inf)
         cost[pairs] = costs
         association = associate_pairs(pairs, costs, cost.shape, unmatched_cost=config.max_distance_px)
+        new = self._may_be_near(association.unmatched_detections, seen, detections, seen_in, shots)
         placed = self._placed_lights(lights, on_map, unmapped, places)
-        unplaced = _unplaced(placed, association, len(detections))
+        unplaced = _unplaced(placed, association, association.unmatched_detections if localize_all else new, cost.shape)
         positions = np.full((len(detections), 3), np.nan)
         if len(unplaced):
             positions[unplaced] = self._localized(seen, detections, unplaced, seen_in, shots, alignment)
-        new = association.unmatched_detections
         if len(new):
-            new = new[detections.scores[new] >= config.new_light_score_threshold]
             may = may_be_new(
                 seen[:, new],
                 positions[new],
@@ -209,6 +215,14 @@ class Observer:
         placed[off_map] = places.knows(unmapped).take(lights.indices.take(off_map) - self._map_length)
         return placed
 
+    def _may_be_near(
+        self, rows: IntArray, seen: FloatArray, detections: Detections, seen_in: IntArray, shots: Shots
+    ) -> IntArray:
+        """Those of some detections that are sure enough and tall enough to be a light within range."""
+        rows = rows[detections.scores.take(rows) >= self._config.new_light_score_threshold]
+        heights_m = self._class_sizes_m[:, 1].take(detections.class_ids.take(rows))
+        return rows[may_be_near(seen[3].take(rows), heights_m, seen_in.take(rows), shots)]
+
     def _localized(
         self,
         seen: FloatArray,
@@ -226,9 +240,10 @@ class Observer:
         return localize_in_images(boxes, sizes_m, shots, images)
 
 
-def _unplaced(placed: BoolArray, association: Association, count: int) -> IntArray:
-    """Rows of the detections that are none of the lights whose places are known, of which (n,) `placed` tells."""
-    unplaced = np.ones(count, dtype=bool)
+def _unplaced(placed: BoolArray, association: Association, others: IntArray, shape: tuple[int, ...]) -> IntArray:
+    """Rows of the detections of lights whose places are not known, of which (n,) `placed` tells, and of some others."""
+    unplaced = np.zeros(shape[1], dtype=bool)
+    unplaced[others] = True
     lights, detections = association.matches.T
-    unplaced[detections[placed.take(lights)]] = False
+    unplaced[detections[~placed.take(lights)]] = True
     return unplaced.nonzero()[0]

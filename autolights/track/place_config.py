@@ -21,7 +21,9 @@ class PlaceConfig(Config):
         decorrelation_s: or so many seconds where the vehicle stands.
         drift_deg: How far a mounting wanders in a minute.
         drift_m: How far the constant error of the poses wanders in a minute.
-        every_s: Images of a camera that follow sooner say nothing new of a light's place.
+        every_s: Images of a camera that follow sooner say nothing new of a light's place,
+        least_news: nor does one that is worth less than this share of an independent one, by way and time since the
+            last: where the vehicle stands there is little to learn.
         projected_sigmas: Lights of the map are looked for where the images showed them, but no farther from their place
             in the map than so many times `map_m`; 0 looks for them where the map has them.
     """
@@ -39,4 +41,5 @@ class PlaceConfig(Config):
     drift_deg: float = Field(default=0.02, ge=0)
     drift_m: float = Field(default=0.05, ge=0)
     every_s: float = Field(default=0.25, ge=0)
+    least_news: float = Field(default=0.1, ge=0, lt=1)
     projected_sigmas: float = Field(default=1.5, ge=0)

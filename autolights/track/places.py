@@ -15,6 +15,7 @@ References:
     adjustment (Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", Sec. 6).
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -74,7 +75,8 @@ class LightPlaces:
         self._last_ns: IntArray = np.empty((0, c), dtype=np.int64)
         self._last_places: FloatArray = np.empty((0, c, 3))
         self._active: BoolArray = np.empty(0, dtype=bool)
-        self._camera_ns = [_NEVER_NS] * c
+        self._told_ns = [_NEVER_NS] * c  # the image of each camera that told of all its lights, and the place of it
+        self._told_at = [[0.0, 0.0, 0.0]] * c
         self._unsettled = False
         sigmas = np.full(size - LIGHT, np.radians(config.rotation_deg))
         sigmas[:POSE] = config.position_m
@@ -160,12 +162,16 @@ class LightPlaces:
             images: (m,) which image each box lies in, ascending.
         """
         numbers = np.array([self._cameras[camera.name] for camera in shots.optics.cameras])
-        due = self._due(rows, shots, images, numbers.tolist())
-        if not np.count_nonzero(due):
+        due = self._due(rows, shots, images, numbers.tolist()).nonzero()[0]
+        if not len(due):
             return
-        due &= (boxes_xyxy[:, :2] >= _EDGE_PX).all(axis=1)
-        due &= (boxes_xyxy[:, 2:] <= shots.optics.size_wh.T.take(images, axis=0) - _EDGE_PX).all(axis=1)
-        rows, boxes, images = rows[due], cxcywh_columns(boxes_xyxy[due]), images[due]
+        within = shots.optics.size_wh.T.take(images.take(due), axis=0) - _EDGE_PX
+        boxes_xyxy = boxes_xyxy.take(due, axis=0)
+        whole = np.flatnonzero(((boxes_xyxy[:, :2] >= _EDGE_PX) & (boxes_xyxy[:, 2:] <= within)).all(axis=1))
+        if not len(whole):
+            return
+        due = due.take(whole)
+        rows, boxes, images = rows.take(due), cxcywh_columns(boxes_xyxy.take(whole, axis=0)), images.take(due)
         expected, jacobian, depths_m = self._expected(rows, shots, images, numbers)
         variances = box_variances(boxes[3], depths_m, shots, images, self._config)
         difference = measured_boxes(boxes, shots, images) - expected
@@ -240,7 +246,8 @@ class LightPlaces:
             "lights": {name: getattr(self, name).tolist() for name in _COLUMNS},
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
-            "camera_ns": self._camera_ns,
+            "told_ns": self._told_ns,
+            "told_at": self._told_at,
             "unsettled": self._unsettled,
         }
 
@@ -264,7 +271,8 @@ class LightPlaces:
             setattr(self, name, column)
         self._shared_information, self._shared_vector = information, vector
         self._shared, self._shared_covariance = shared, covariance
-        self._shared_ns, self._camera_ns = values["shared_ns"], list(values["camera_ns"])
+        self._shared_ns = values["shared_ns"]
+        self._told_ns, self._told_at = list(values["told_ns"]), list(values["told_at"])
         self._unsettled = bool(values["unsettled"])
 
     def _prior(self, *, on_map: bool) -> FloatArray:
@@ -323,14 +331,27 @@ class LightPlaces:
         self._shared_vector = self._shared_information @ mean
 
     def _due(self, rows: IntArray, shots: Shots, images: IntArray, numbers: list[int]) -> BoolArray:
-        """(m,) whether something new is told: of each camera now and then all, else what it has not told of before."""
-        due = self._last_ns.take(rows * len(self._cameras) + np.array(numbers).take(images)) == _NEVER_NS
-        for image in np.bincount(images).nonzero()[0].tolist():
-            number, stamp_ns = numbers[image], shots.poses[image].stamp_ns
-            if abs(stamp_ns - self._camera_ns[number]) >= self._config.every_s * 1e9:
-                due |= images == image
-                self._camera_ns[number] = stamp_ns
-        return np.asarray(due)
+        """(m,) whether something new is told: now and then all images tell of all lights, else of what is new to them.
+
+        One camera that is due takes the others along: a set of images costs little more than one.
+        """
+        present = np.bincount(images).nonzero()[0].tolist()
+        places = shots.vehicle.tolist()
+        if any(self._is_due(numbers[image], shots.poses[image].stamp_ns, places[image]) for image in present):
+            for image in present:
+                number = numbers[image]
+                self._told_ns[number], self._told_at[number] = shots.poses[image].stamp_ns, places[image]
+            return np.ones(len(rows), dtype=bool)
+        return np.asarray(self._last_ns.take(rows * len(self._cameras) + np.array(numbers).take(images)) == _NEVER_NS)
+
+    def _is_due(self, number: int, stamp_ns: int, place: list[float]) -> bool:
+        """Whether an image of a camera says enough that is new."""
+        config, elapsed_s = self._config, abs(stamp_ns - self._told_ns[number]) / 1e9
+        if elapsed_s < config.every_s:
+            return False
+        way_m = math.dist(place, self._told_at[number])
+        apart = way_m / config.decorrelation_m + elapsed_s / config.decorrelation_s
+        return math.tanh(apart / 2) >= config.least_news
 
     def _expected(
         self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray

@@ -5,7 +5,7 @@ from typing import Any
 from autolights.core.errors import DataError
 from autolights.track.config import TrackConfig
 
-STATE_FORMAT = 3
+STATE_FORMAT = 4
 
 
 def refuse_other(values: dict[str, Any], signals_name: str, config: TrackConfig) -> None:

@@ -217,8 +217,9 @@ def two_camera_drive(seed: int) -> list[tuple[Shots, list[np.ndarray]]]:
 def test_where_the_vote_has_one_outcome_only_it_need_not_be_held(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     watched = Watched(monkeypatch)
     results, votes = [], []
-    for limit in (alignment_module.AMBIGUOUS_SIGMAS, -1.0):  # with the latter every image votes
-        monkeypatch.setattr(alignment_module, "AMBIGUOUS_SIGMAS", limit)
+    for all_vote in (False, True):
+        if all_vote:
+            monkeypatch.setattr(alignment_module._Problem, "_reach", lambda own, _: np.full(len(own.sigmas_px), np.inf))
         cameras = {"narrow": make_camera(), "wide": make_camera(FOCAL_PX / 2, "wide")}
         state = RigAlignment(cameras, AlignmentConfig())
         results.append([state.align(shots, *arguments) for shots, arguments in two_camera_drive(seed)])

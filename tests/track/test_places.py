@@ -279,6 +279,41 @@ def test_a_standing_vehicle_learns_little() -> None:
     assert (np.trace(places.covariances, axis1=1, axis2=2) > 0.6 * once).all()
 
 
+def test_where_little_is_new_images_are_passed_over() -> None:
+    """Standing for four seconds at ten sets a second, and driving for two: all the while a light may be new."""
+    camera, truth = make_camera("front"), row_of_lights()
+    places = LightPlaces(["front"], PlaceConfig(least_news=0.1, decorrelation_s=5.0, every_s=0.25, decorrelation_m=2.0))
+    rows, told = fill(places, truth), []
+    for i in range(60):
+        pose = pose_at(20.0 + max(0, i - 40) * 1.0, i * 100_000_000)
+        mine = rows if i >= 5 else rows[:-1]
+        before = places._information.copy()
+        places.observe(mine, boxes_of(truth, camera, pose)[: len(mine)], camera, pose)
+        told.append(np.flatnonzero((places._information != before).any(axis=(1, 2))).tolist())
+    every = rows.tolist()
+    expected = {0: every[:-1], 5: [every[-1]]} | dict.fromkeys([11, 22, 33, 41, 44, 47, 50, 53, 56, 59], every)
+    assert {i: told[i] for i in range(60) if told[i]} == expected
+
+
+def test_a_camera_that_is_due_takes_the_others_along() -> None:
+    cameras = [make_camera("narrow"), make_camera("wide", 690.0)]
+    truth = row_of_lights()
+    places = LightPlaces(["narrow", "wide"], PlaceConfig())
+    rows = fill(places, truth)
+    together = np.concatenate([rows, rows]), np.repeat([0, 1], len(rows))
+
+    def observe(i: int, step: slice) -> None:
+        pose = pose_at(2.0 * i, i * 100_000_000)
+        shots = Shots.of(cameras[step], [pose] * len(cameras[step]))
+        boxes = np.concatenate([boxes_of(truth, camera, pose) for camera in cameras[step]])
+        places.observe_set(together[0][: len(boxes)], boxes, shots, together[1][: len(boxes)])
+
+    observe(0, slice(0, 2))
+    observe(3, slice(1, 2))  # the wide one alone: it will not be due at 4
+    observe(4, slice(0, 2))
+    assert (places._last_ns == 400_000_000).all()
+
+
 @pytest.mark.parametrize("edge", range(4), ids=["left", "top", "right", "bottom"])
 def test_a_cut_box_says_nothing(edge: int) -> None:
     camera, pose = make_camera("front"), pose_at(20.0, 0)

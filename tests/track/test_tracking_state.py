@@ -91,7 +91,7 @@ def test_a_state_of_something_else_is_refused(make_scene: Callable) -> None:
     saved = pipeline._tracks.to_json()
     manager = scene.pipeline()._tracks
     for change, message in (
-        ({"format": 99}, "format 99 is not 3"),
+        ({"format": 99}, "format 99 is not 4"),
         ({"signals": "other"}, "signals was 'other' when it was saved and is 'autolights_13' now"),
         ({"config": {**saved["config"], "dwell_stages": 3}}, "setting track.dwell_stages was 3"),
         ({"map_ids": ["gone"]}, "light 'gone' is not on the map"),
