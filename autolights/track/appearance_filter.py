@@ -268,7 +268,7 @@ class AppearanceFilter:
             lost = posterior.sum(axis=(1, 2)) == 0
             posterior[lost] = lights.first[lost]
             mass = posterior.sum(axis=(1, 2))
-        posterior /= mass[:, None, None]
+        posterior *= (1 / mass)[:, None, None]
 
     def _settle_together(
         self, beliefs: FloatArray, posterior: FloatArray, lights: LightsByType, partners: Partners

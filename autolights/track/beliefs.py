@@ -124,7 +124,7 @@ class Beliefs:
 
     def share_among(self, may_join: BoolArray) -> "Beliefs":
         """Let those (m,) lights share evidence with the others of their groups that may."""
-        if self.may_join is not None and np.array_equal(may_join, self.may_join):
+        if self.may_join is not None and not np.count_nonzero(may_join != self.may_join):
             return self
         together = may_join & (self.mates.total(may_join[:, None].astype(np.float64))[:, 0] > 1)
         joined = np.where(together, self.groups, -1)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -15,6 +15,25 @@ _FLOOR = 1e-9  # of what other classes get together
 _LEVEL_WIDTH = 0.15  # of log odds, over which a level becomes the next: a look between them is not two looks by turns
 _ALONE = 0.02  # how often a camera errs by itself while another one does not
 _DISSENT = 0.5  # power of what the confidence of a camera that dissents is worth, as it counts in each set anew
+
+
+class Reading(NamedTuple):
+    """What a detector says of m lights.
+
+    Of several cameras at one instant, `said` of each plus its `alone` is multiplied, and of `reached` the maximum
+    counts: they share most errors, but who is sure is seldom wrong.
+
+    Attributes:
+        said: (m, k) likelihood of each class being seen.
+        reached: (m, L − 1, k) how far each higher level of certainty is reached if that is what the detector sees.
+        alone: (m,) the chance that it errs alone.
+        own: (m, k) calibrated probabilities of the classes of each light's type.
+    """
+
+    said: FloatArray
+    reached: FloatArray
+    alone: FloatArray
+    own: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +53,8 @@ class LookReader:
     temperature: FloatArray
     thresholds: FloatArray
     dissent: FloatArray
+    _is_calibrated: bool  # all temperatures are 1
+    _dissent_steps: FloatArray  # (t, L − 1) from each level to the next
 
     @classmethod
     def of(cls, params: Sequence[HmmParameters], class_ids: Mapping[str, int]) -> Self:
@@ -54,12 +75,16 @@ class LookReader:
         worth = np.array([own.certainty.if_wrong for own in params]) / np.maximum(
             np.array([own.certainty.if_right for own in params]), 1e-6
         )
+        temperature = np.array([own.temperature for own in params])
+        dissent = _ALONE * np.minimum(worth, 1.0) ** _DISSENT
         return cls(
             columns,
             scale,
-            np.array([own.temperature for own in params]),
+            temperature,
             np.log(thresholds / (1 - thresholds)),
-            _ALONE * np.minimum(worth, 1.0) ** _DISSENT,
+            dissent,
+            _is_calibrated=bool((temperature == 1).all()),
+            _dissent_steps=np.diff(dissent, axis=1),
         )
 
     @property
@@ -67,42 +92,35 @@ class LookReader:
         """How many levels of certainty are told apart."""
         return int(self.dissent.shape[1])
 
-    def read(
-        self, class_probs: FloatArray, types: IntArray, *, sharpness: float = SHARPNESS
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Read what one camera's detector says.
+    def read(self, class_probs: FloatArray, types: IntArray, *, sharpness: float = SHARPNESS) -> Reading:
+        """Read what a detector says.
 
         Args:
             class_probs: (m, C) of all classes; a row that is zero on its type's classes says nothing of the class.
             types: (m,) index of each light's type.
             sharpness: Power of the calibrated class vector.
-
-        Returns:
-            (m, k) likelihood of each class being seen, (m, L − 1, k) how far each higher level of certainty is reached
-            if that is what the detector sees, and (m,) the chance that it errs alone. Of several cameras at one
-            instant, the product of the first, each plus its third, and the maximum of the second: they share most
-            errors, but who is sure is seldom wrong.
         """
         m, class_count = class_probs.shape
         calibrated = class_probs
-        if np.count_nonzero(self.temperature != 1):
-            calibrated = class_probs ** (1 / self.temperature[types])[:, None]
+        if not self._is_calibrated:
+            calibrated = class_probs ** (1 / self.temperature.take(types))[:, None]
         padded = np.zeros((m, class_count + 1))
         padded[:, :-1] = calibrated
-        own = padded.take(self.columns.take(types, axis=0) + (class_count + 1) * np.arange(m)[:, None])
+        own = heard = padded.take(self.columns.take(types, axis=0) + (class_count + 1) * np.arange(m)[:, None])
         best = np.maximum.reduce(own, axis=1, keepdims=True)
         rest = np.add.reduce(calibrated, axis=1, keepdims=True) - best
         silent = best == 0
         speechless = np.count_nonzero(silent)
         if speechless:
-            own, best, rest = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, rest)
+            heard, best, rest = np.where(silent, 1.0, own), np.where(silent, 1.0, best), np.where(silent, 1.0, rest)
         below = (self.thresholds.take(types, axis=0) - np.log(best / np.maximum(rest, _FLOOR))) / _LEVEL_WIDTH
-        reached = 1 / (1 + np.exp(np.minimum(np.maximum(below, -30), 30)))
+        reached = 1 / (1 + np.exp(np.minimum(below, 30)))
         if speechless:
             reached = np.where(silent, np.arange(self.levels - 1, 0, -1) / self.levels, reached)
-        alone = (self.dissent.take(types, axis=0) * _levels(reached)).sum(axis=1)
-        said = np.asarray((own / best) ** sharpness * self.scale.take(types, axis=0))
-        return said, reached[:, :, None] * (own == best)[:, None, :], alone
+        alone = self.dissent[:, 0].take(types)
+        alone += np.add.reduce(self._dissent_steps.take(types, axis=0) * reached, axis=1)
+        said = (heard / best) ** sharpness * self.scale.take(types, axis=0)
+        return Reading(said, reached[:, :, None] * (heard == best)[:, None, :], alone, own)
 
 
 def leading_pairs(class_probs: FloatArray) -> IntArray:
@@ -120,18 +138,14 @@ def seen_likelihood(said: FloatArray, reached: FloatArray) -> FloatArray:
         said: (m, k) of each class.
         reached: (m, L − 1, k) how far each level of certainty but the lowest is reached.
     """
-    levels = _levels(reached)
-    slip = np.full((len(said), 1), _SLIP)
-    count, k = said.shape
-    return np.concatenate([(levels * said[:, None, :]).reshape(count, levels.shape[1] * k), slip], axis=1)
-
-
-def _levels(reached: FloatArray) -> FloatArray:
-    """(m, L, ...) how far each level of certainty is the one, from how far each but the lowest is reached."""
-    shares = np.empty((len(reached), reached.shape[1] + 1, *reached.shape[2:]))
+    (count, k), levels = said.shape, reached.shape[1] + 1
+    likelihood = np.empty((count, levels * k + 1))
+    likelihood[:, -1] = _SLIP
+    shares = likelihood[:, :-1].reshape(count, levels, k)  # a view: how far each level is the one
     shares[:, 0], shares[:, 1:] = 1.0, reached
     shares[:, :-1] -= reached
-    return shares
+    shares *= said[:, None]
+    return likelihood
 
 
 def miss_likelihood(state_count: int, levels: int) -> FloatArray:

@@ -112,12 +112,12 @@ def choose(
         min_probability: What is less probable is not to be acted upon.
     """
     risky = ((contradiction @ mass[:, :, None])[:, :, 0] > max_go_risk) | denied
-    every, before = np.arange(len(mass)), np.maximum(said, 0)
-    sayable = (said >= 0) & ~risky[every, before]
-    likely = mass.argmax(axis=1)
-    chosen = np.where(sayable, (mass / odds).argmax(axis=1), likely)
-    chosen = np.where(sayable & risky[every, chosen], before, chosen)
-    doubtful = (mass[every, chosen] < min_probability) | risky[every, chosen]
+    firsts = mass.shape[1] * np.arange(len(mass))  # from here on outcomes are elements of the flat arrays
+    before, likely = firsts + np.maximum(said, 0), firsts + mass.argmax(axis=1)
+    sayable = (said >= 0) & ~risky.take(before)
+    chosen = np.where(sayable, firsts + (mass / odds).argmax(axis=1), likely)
+    chosen = np.where(sayable & risky.take(chosen), before, chosen)
+    doubtful = (mass.take(chosen) < min_probability) | risky.take(chosen)
     chosen = np.where(doubtful, likely, chosen)
-    go_held = risky[every, likely] & (chosen != likely)
-    return Choice(chosen, mass[every, chosen], go_held=go_held, doubtful=doubtful)
+    go_held = risky.take(likely) & (chosen != likely)
+    return Choice(chosen - firsts, mass.take(chosen), go_held=go_held, doubtful=doubtful)

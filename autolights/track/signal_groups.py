@@ -102,6 +102,7 @@ class GroupDisputes:
         self._after_ms = after_s * 1000
         self._since_ms = np.empty(0, dtype=np.int64)
         self.disputed = np.empty(0, dtype=bool)
+        self._all_agree = True  # nobody is at odds with anybody, nor has begun to be
 
     def append(self, count: int) -> None:
         """Take in new tracks."""
@@ -130,18 +131,22 @@ class GroupDisputes:
             seen: (n,) whether a light lives and was seen in this set; who is not is neither judged nor heard.
             now_ms: Of this set.
         """
-        heard = np.ones((len(rows), beliefs.shape[1] + 1))
-        heard[:, 1:] = beliefs
-        heard *= seen[:, None]
+        heard = np.empty((len(rows), beliefs.shape[1] + 1))
+        heard[:, 0] = seen
+        np.multiply(beliefs, seen[:, None], out=heard[:, 1:])
         others = mates.total(heard) - heard
         same = np.add.reduce(heard[:, 1:] * others[:, 1:], axis=1) / np.maximum(others[:, 0], 1)
         judged = seen & (others[:, 0] > 0.5)
-        since_ms, odd = self._since_ms.take(rows), judged & (same < _DISAGREE)
+        odd = judged & (same < _DISAGREE)
+        if self._all_agree and not np.count_nonzero(odd):
+            return
+        since_ms = self._since_ms.take(rows)
         since_ms = np.where(odd, np.where(since_ms < 0, now_ms, since_ms), since_ms)
         since_ms[~judged | (same > _AGREE)] = -1
         self._since_ms[rows] = since_ms
         agreed, long_odd = judged & (same > _AGREE), odd & (now_ms - since_ms >= self._after_ms)
         self.disputed[rows] = (self.disputed.take(rows) & ~agreed) | long_odd
+        self._all_agree = bool((self._since_ms < 0).all() and not self.disputed.any())
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered."""
@@ -151,3 +156,4 @@ class GroupDisputes:
         """Remember what `to_json` gave."""
         self._since_ms = np.array(values["since_ms"], dtype=np.int64)
         self.disputed = np.array(values["disputed"], dtype=bool)
+        self._all_agree = False  # until they are judged

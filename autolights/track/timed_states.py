@@ -45,7 +45,6 @@ class TimedStates:
         self._disputes = GroupDisputes(config.dispute_after_s)
         self._looked = self._alive = np.empty(0, dtype=bool)
         self._surely_seen = np.empty((0, self._widest))  # how surely a camera saw each class in this set
-        self._class_count = len(signals.classes)
         self._pairs = nobody  # which two classes led in this set, −1 for none
         self._said = nobody  # outcome that was reported last, −1 for none
         self._beliefs = Beliefs.fresh(self._filter, nobody, nobody, nobody)
@@ -120,39 +119,34 @@ class TimedStates:
         n, beliefs = len(self._types), self._beliefs
         looked = self._looked = np.zeros(n, dtype=bool)
         self._surely_seen = np.zeros((n, self._widest))
-        likelihood, leading = np.ones((n, len(self._missed))), None
+        likelihood, leading = np.empty((n, len(self._missed))), None
+        likelihood.fill(1.0)
         if len(looks.rows):
             order = looks.rows.argsort(kind="stable")
             rows, class_probs = looks.rows.take(order), looks.class_probs.take(order, axis=0)
-            begins = np.ones(len(rows), dtype=bool)  # whether a look is the first of its track
+            begins = np.empty(len(rows), dtype=bool)  # whether a look is the first of its track
+            begins[0] = True
             np.not_equal(rows[1:], rows[:-1], out=begins[1:])
             starts = begins.nonzero()[0]
             seen = rows.take(starts)
             looked[seen] = True
-            said, reached, alone = self._reader.read(class_probs, self._types.take(rows))
+            said, reached, alone, own = self._reader.read(class_probs, self._types.take(rows))
             several = np.bincount(rows).take(rows) > 1
-            said += np.where(several, alone, 0.0)[:, None]
+            said += (alone * several)[:, None]
             said, reached = np.multiply.reduceat(said, starts), np.maximum.reduceat(reached, starts)
             likelihood[seen] = seen_likelihood(said, reached)
             if self._reader.levels > 1:
                 self._surely_seen[seen] = reached[:, -1]
-            by_confidence = np.maximum.reduce(class_probs, axis=1).argsort(kind="stable")
+            by_confidence = np.maximum.reduce(own, axis=1).argsort(kind="stable")
             surest = np.zeros(n, dtype=np.int64)
             surest[rows.take(by_confidence)] = by_confidence
-            leading = self._of_own_type(class_probs.take(surest.take(beliefs.rows), axis=0))
+            leading = own.take(surest.take(beliefs.rows), axis=0)
         if len(looks.missed):
             likelihood[looks.missed[~looked[looks.missed]]] = self._missed
         if not len(beliefs):
             self._pairs = np.full(n, -1)
             return
         beliefs.update(likelihood.take(beliefs.rows, axis=0), self._second_classes(leading, looked))
-
-    def _of_own_type(self, class_probs: FloatArray) -> FloatArray:
-        """(m, k) probabilities of the classes of each light's type, of (m, C) of all classes."""
-        padded = np.zeros((len(class_probs), self._class_count + 1))
-        padded[:, :-1] = class_probs
-        first_columns = padded.shape[1] * np.arange(len(padded))[:, None]
-        return padded.take(self._reader.columns.take(self._beliefs.lights.types, axis=0) + first_columns)
 
     def _second_classes(self, leading: FloatArray | None, looked: BoolArray) -> tuple[IntArray, FloatArray] | None:
         """Whose second class says something new, and what, for `Beliefs.update`; None if nobody's does.

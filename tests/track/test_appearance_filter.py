@@ -191,7 +191,7 @@ def test_of_two_cameras_the_sure_one_is_heard(hmm: Hmm) -> None:
     reader = LookReader.of([params], {name: i for i, name in enumerate(params.states)})
     doubting, knowing = np.array([[0.02, 0.5, 0.4]]), np.array([[0.01, 0.01, 0.95]])
     types = np.zeros(1, dtype=int)
-    (said, level, alone), (said_2, level_2, alone_2) = reader.read(doubting, types), reader.read(knowing, types)
+    (said, level, alone, _), (said_2, level_2, alone_2, _) = reader.read(doubting, types), reader.read(knowing, types)
     together = seen_likelihood((said + alone) * (said_2 + alone_2), np.maximum(level, level_2))[0]
     assert alone_2 < alone, "who is sure seldom errs alone"
     assert np.argmax(together) == len(params.states) + 2, "yellow, for sure"
@@ -207,7 +207,7 @@ def test_an_unsure_camera_does_not_overrule_a_sure_one_however_long_it_dissents(
     looks[0, params.states.index("3-green")] = 0.97
     looks[1, params.states.index("3-red")], looks[1, params.states.index("3-green")] = 0.7, 0.28
     for _ in range(10):
-        said, reached, alone = reader.read(looks, np.zeros(2, dtype=int))
+        said, reached, alone, _ = reader.read(looks, np.zeros(2, dtype=int))
         both = seen_likelihood((said + alone[:, None]).prod(axis=0)[None], reached.max(axis=0)[None])
         belief = own.update(own.predict(belief, 100), both)
         state = belief[0].sum(axis=0)
