@@ -21,7 +21,8 @@ class MapAuditConfig(Config):
         extra_share: A light of the map that was detected in no more than this share of them is not there.
         moved_m: A light has moved if it hangs at least so far from its place in the map, less one standard deviation,
         moved_chance: counted along those axes along which errors put it there with no more than this probability.
-        moved_max_m: A missing light and one of the map are one that moved, if they are of one type, no farther apart,
+        moved_max_m: But no farther than this. A missing light and one of the map are one that moved, if they are of one
+            type, no farther apart,
         moved_share: and if the latter was detected in no more than this share of the images that should show it.
         type_share: A light is of another type if so many of its detections say so.
         same_light_m: Unmapped lights of several drives, or of one drive but never in one image, are one light if they

@@ -232,7 +232,9 @@ class _Judge:
         if not self.enough(evidence.seen):
             return []
         offset, covariance = self._free_place(row)
-        if covariance is not None and self._beyond_doubt_m(offset, covariance) >= self._config.moved_m:
+        # Farther off than lights are looked for it is another light, with which the runtime took it for the same.
+        near = float(np.linalg.norm(offset)) <= self._config.moved_max_m
+        if near and covariance is not None and self._beyond_doubt_m(offset, covariance) >= self._config.moved_m:
             position = self._lights.positions[row] + offset
             findings.append(self._finding("moved", row, position, covariance, evidence))
         ((kind, count),) = evidence.types.most_common(1)

@@ -68,6 +68,11 @@ def test_one_fault_of_each_kind_is_found_and_nothing_else(drive_along: Callable,
 MOVED_ASIDE_M = -1.2
 
 
+def test_no_light_moves_farther_than_it_can_be_the_same_one(drive_along: Callable, signals: SignalSet) -> None:
+    found = judge(drive_along(), signals=signals, config=MapAuditConfig(moved_max_m=1.0))
+    assert "moved" not in {finding.kind for finding in found.findings}
+
+
 def test_a_map_without_faults_has_no_findings(drive_along: Callable, signals: SignalSet) -> None:
     found = judge(drive_along(fault=False), signals=signals)
     assert found.findings == ()
