@@ -25,7 +25,7 @@ References:
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,8 +35,8 @@ from autolights.track.look_reader import SHARPNESS
 from autolights.track.signal_groups import Partners
 
 _CACHED = 64  # frame times
-_NEVER = 1e-300  # of a state, and of what is seen in it
-_LOST = 1e-6  # of the sum of a belief, beyond which the model calls what was seen impossible
+_NEVER = 1e-30  # of a state, and of what is seen in it
+_LOST = 1e-4  # of the sum of a belief, beyond which the model calls what was seen impossible
 _SECOND_MOST = 0.95  # of P(the truth comes second | wrong): the road is no validation set
 
 
@@ -82,6 +82,7 @@ class AppearanceFilter:
     confusable: FloatArray
     _initial: FloatArray  # (t, K)
     _class_counts: FloatArray  # (t,)
+    _if_not_second: FloatArray  # (2, t) P(the truth | neither first nor second), and by how much more if second
     _class_of: IntArray  # (t, K) class of each hidden state
     _every: FloatArray  # (c,) ones
     _ones: FloatArray  # (L + 1, c) which appearances are of a level, "missed" last
@@ -91,13 +92,21 @@ class AppearanceFilter:
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, chains: Sequence[HiddenChain], params: Sequence[HmmParameters], *, error_duration_s: float) -> Self:
+    def of(
+        cls,
+        chains: Sequence[HiddenChain],
+        params: Sequence[HmmParameters],
+        *,
+        error_duration_s: float,
+        dtype: type[np.floating[Any]] = np.float64,
+    ) -> Self:
         """Build the filters.
 
         Args:
             chains: Hidden states of each type.
             params: B, P(missed | state), and how often the detector is sure; as many levels of certainty for each.
             error_duration_s: Of an appearance.
+            dtype: Of beliefs; half as many bytes are moved in less time, and six digits are more than any model has.
         """
         t, levels = len(chains), params[0].certainty.levels
         k, states = max(len(own.states) for own in params), max(map(len, chains))
@@ -120,6 +129,9 @@ class AppearanceFilter:
             confusable[i, :count, :count] = np.divide(
                 errors, total, out=np.full_like(errors, 1 / max(count - 1, 1)), where=total > 0
             )
+        counts = np.array([float(len(own.states)) for own in params])
+        second = np.array([min(own.certainty.second_if_wrong, _SECOND_MOST) for own in params])
+        of_rest = (1 - second) / np.maximum(counts - 2, 1)
         found = looks.sum(axis=2, keepdims=True)
         if_level = np.divide(looks, found, out=np.zeros_like(looks), where=found > 0)
         all_looks = np.concatenate([looks.reshape(t, c - 1, states), missed[:, None]], axis=1)
@@ -129,18 +141,19 @@ class AppearanceFilter:
         return cls(
             chains=tuple(chains),
             error_duration_s=error_duration_s,
-            looks=all_looks,
-            first=all_looks * initial[:, None],
-            second_if_wrong=np.array([min(own.certainty.second_if_wrong, _SECOND_MOST) for own in params]),
+            looks=all_looks.astype(dtype),
+            first=(all_looks * initial[:, None]).astype(dtype),
+            second_if_wrong=second,
             confusable=confusable,
-            _initial=initial,
-            _class_counts=np.array([float(len(own.states)) for own in params]),
+            _initial=initial.astype(dtype),
+            _class_counts=counts,
+            _if_not_second=np.array([of_rest, second - of_rest]),
             _class_of=class_of,
-            _every=np.ones(c),
-            _ones=ones,
+            _every=np.ones(c, dtype),
+            _ones=ones.astype(dtype),
             _level_of=ones.argmax(axis=0),
-            _found=ones @ all_looks,
-            _shares=np.concatenate([if_level.reshape(t, c - 1, states), np.ones((t, 1, states))], axis=1),
+            _found=(ones @ all_looks).astype(dtype),
+            _shares=np.concatenate([if_level.reshape(t, c - 1, states), np.ones((t, 1, states))], axis=1).astype(dtype),
         )
 
     def lights(self, types: IntArray) -> LightsByType:
@@ -171,7 +184,7 @@ class AppearanceFilter:
         rho, both, stay = step
         m, layers, _, k = beliefs.shape
         sums = self._ones @ beliefs
-        moved, by_level = np.empty_like(beliefs), np.empty((m, layers, len(self._ones), 2 * k))
+        moved, by_level = np.empty_like(beliefs), np.empty((m, layers, len(self._ones), 2 * k), beliefs.dtype)
         # One product for all lights and appearances costs less than one for each light; that of "missed" is not used.
         for t, here in lights.slices:
             np.matmul(beliefs[here].reshape(-1, k), stay[t], out=moved[here].reshape(-1, k))
@@ -189,8 +202,8 @@ class AppearanceFilter:
     def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray]:
         """ρ, and of each type A and ρ (A − S) side by side, and ρ S."""
         rho = float(np.exp(-duration_ms / 1000 / self.error_duration_s)) if self.error_duration_s else 0.0
-        k = self.first.shape[2]
-        both, stays = np.zeros((len(self.chains), k, 2 * k)), np.zeros((len(self.chains), k, k))
+        k, dtype = self.first.shape[2], self.first.dtype
+        both, stays = np.zeros((len(self.chains), k, 2 * k), dtype), np.zeros((len(self.chains), k, k), dtype)
         for t, chain in enumerate(self.chains):
             own = slice(len(chain))
             change, stay = chain.over(duration_ms)
@@ -211,14 +224,18 @@ class AppearanceFilter:
         """
         j, k = class_probs.shape
         every, lead = np.arange(j), class_probs.argmax(axis=1)
-        count, wrong = self._class_counts.take(types)[:, None], self.second_if_wrong.take(types)[:, None]
         shares = class_probs**SHARPNESS
         shares[every, lead] = 0.0
         total = np.add.reduce(shares, axis=1, keepdims=True)
-        shares = np.where(total > 0, shares / np.maximum(total, _NEVER), 1 / np.maximum(count - 1, 1))
-        by_class = wrong * shares + (1 - wrong) * (1 - shares) / np.maximum(count - 2, 1)
+        if np.count_nonzero(total) < j:  # nothing comes second: all others alike
+            shares = np.where(total > 0, shares, 1.0)
+            total = np.where(total > 0, total, np.maximum(self._class_counts.take(types) - 1, 1)[:, None])
+        shares /= total
+        # P(c is the truth | another leads): by its share it comes second, else it is one of the rest.
+        of_rest, more_if_second = self._if_not_second.take(types, axis=1)[:, :, None]
+        by_class = of_rest + shares * more_if_second
         by_class[every, lead] = np.add.reduce(shares * self.confusable[types, lead], axis=1)
-        factors = np.ones((j, *self.first.shape[1:]))
+        factors = np.ones((j, *self.first.shape[1:]), self.first.dtype)
         of_state = by_class.take(self._class_of.take(types, axis=0) + k * every[:, None])
         factors[every, k * np.arange(len(self._ones) - 1)[:, None] + lead] = of_state
         return factors
@@ -247,7 +264,7 @@ class AppearanceFilter:
         Returns:
             (m, 1 or 2, c, K). Where the model calls a look impossible, it is believed as at first sight.
         """
-        posterior = beliefs * likelihood[:, None, :, None]
+        posterior = beliefs * likelihood.astype(beliefs.dtype, copy=False)[:, None, :, None]
         if seconds is not None:
             posterior[seconds[0]] *= seconds[1][:, None]
         self._settle(posterior[:, 0], lights, likelihood)

@@ -57,17 +57,18 @@ class Duplicates:
             unmapped: The unmapped lights as the images were held against, track ids for names.
         """
         projected, images = observations.projected, observations.known_in
-        mine = np.flatnonzero(projected.indices >= len(self._lights))
+        mine = (projected.indices >= len(self._lights)).nonzero()[0]
         if not len(mine):
             return
         left, top, right, bottom = projected.boxes_xyxy.T
-        heights, across, down = bottom - top, left + right, top + bottom  # twice the centres
-        limits = 2 * _NEAR_HEIGHTS * np.minimum(heights[mine, None], heights)
-        near = (across[mine, None] - across) ** 2 + (down[mine, None] - down) ** 2 <= limits**2
+        across, down, limits = left + right, top + bottom, 2 * _NEAR_HEIGHTS * (bottom - top)  # all of them twice
+        right, below = across[mine, None] - across, down[mine, None] - down
+        limits = np.minimum(limits[mine, None], limits)
+        near = right * right + below * below <= limits * limits
         near &= images[mine, None] == images
-        near &= mine[:, None] > np.arange(len(projected))  # each pair once, and not with itself
-        if not near.any():
+        if np.count_nonzero(near) == len(mine):  # each with itself
             return
+        near &= mine[:, None] > np.arange(len(projected))  # each pair once
         detected = np.zeros(len(projected), dtype=bool)
         detected[observations.association.matches[:, 0]] = True
         for i, other in np.argwhere(near).tolist():

@@ -17,6 +17,7 @@ from autolights.track.type_model import OutcomeTables, TypeModel
 
 _TIE = 1e-6  # of probability
 _SURELY = 0.5  # how far the highest level of certainty is reached
+_DTYPE = np.float32  # of beliefs
 
 
 class TimedStates:
@@ -35,10 +36,9 @@ class TimedStates:
         self._reader = LookReader.of(params, signals.class_ids)
         self._missed = miss_likelihood(self._widest, self._reader.levels)
         self._models = [TypeModel.of(name, signals, hmm[name], config) for name in signals.types]
-        self._filter = AppearanceFilter.of(
-            [model.chain for model in self._models], params, error_duration_s=config.error_duration_s
-        )
-        self._tables = OutcomeTables.of(self._models, signals, config)
+        chains = [model.chain for model in self._models]
+        self._filter = AppearanceFilter.of(chains, params, error_duration_s=config.error_duration_s, dtype=_DTYPE)
+        self._tables = OutcomeTables.of(self._models, signals, config, dtype=_DTYPE)
         self._unseen = self._first_reports()
         nobody: IntArray = np.empty(0, dtype=np.int64)
         self._types = self._groups = nobody
@@ -271,11 +271,11 @@ class TimedStates:
         self._disputes.restore(values["disputes"])
         rows, joined = (np.array(values[name], dtype=np.int64) for name in ("rows", "joined"))
         layers = max(map(len, values["beliefs"]), default=1)
-        array = np.zeros((len(rows), layers, *self._filter.first.shape[1:]))
+        array = np.zeros((len(rows), layers, *self._filter.first.shape[1:]), _DTYPE)
         for light, t, saved in zip(array, types[rows].tolist(), values["beliefs"], strict=True):
             own_part = self._models[t].own_part(self._widest)
             for layer, belief in zip(light, saved, strict=True):
-                layer[own_part] = np.array(belief, dtype=np.float64).reshape(layer[own_part].shape)
+                layer[own_part] = np.array(belief, dtype=_DTYPE).reshape(layer[own_part].shape)
         self._beliefs = Beliefs.of(self._filter, rows, types[rows], self._groups[rows], joined, array)
 
     def _first_reports(self) -> Reports:

@@ -91,16 +91,23 @@ class OutcomeTables:
     flashing: BoolArray
 
     @classmethod
-    def of(cls, models: Sequence[TypeModel], signals: SignalSet, config: TrackConfig) -> Self:
-        """Of these types."""
+    def of(
+        cls,
+        models: Sequence[TypeModel],
+        signals: SignalSet,
+        config: TrackConfig,
+        *,
+        dtype: type[np.floating[Any]] = np.float64,
+    ) -> Self:
+        """Of these types, for beliefs of a `dtype`."""
         n, k = len(models), max(len(model.params.states) for model in models)
         states, g = max(len(model.chain) for model in models), max(len(model.outcomes.names) for model in models)
         tables = cls(
-            np.zeros((n, states, k)),
-            np.zeros((n, states, g)),
+            np.zeros((n, states, k), dtype),
+            np.zeros((n, states, g), dtype),
             np.zeros((n, k, g)),
-            np.zeros((n, g, g)),
-            np.ones((n, g, g)),
+            np.zeros((n, g, g), dtype),
+            np.ones((n, g, g), dtype),
             np.zeros((n, g), dtype=np.int64),
             np.zeros((n, g), dtype=bool),
         )

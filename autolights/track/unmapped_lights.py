@@ -41,8 +41,9 @@ class UnmappedLights:
             self._taken_over = places.places.positions
             known, positions = places.well_known(table.ids.take(rows))
             table.positions[rows.take(known)] = positions
-        same = np.array_equal(table.ids.take(rows), self._ids) and np.array_equal(table.types.take(rows), self._types)
-        if not same:
+        if len(rows) != len(self._ids) or np.count_nonzero(
+            (table.ids.take(rows) != self._ids) | (table.types.take(rows) != self._types)
+        ):
             self._take_up(table)
         elif len(rows):
             positions = table.positions.take(rows, axis=0)
