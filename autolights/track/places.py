@@ -33,7 +33,7 @@ _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hi
 _VAGUE_M = 100.0  # an unmapped light can be anywhere
 _NEVER_NS = -(2**62)
 _KNOWN_M = 3.0  # standard deviation of a place, mostly of its depth, that tells more than a single box does
-_SETTLED_S = 10.0  # a light that is not seen for so long has told all it has to tell of the shared errors
+_SETTLED_NS = 10_000_000_000  # a light unseen for so long has told all it has to tell of the shared errors
 _COLUMNS = (
     "positions",
     "covariances",
@@ -78,6 +78,7 @@ class LightPlaces:
         self._told_ns = [_NEVER_NS] * c  # the image of each camera that told of all its lights, and the place of it
         self._told_at = [[0.0, 0.0, 0.0]] * c
         self._unsettled = False
+        self._all_heard_until_ns = _NEVER_NS  # no light is silent for long before that
         sigmas = np.full(size - LIGHT, np.radians(config.rotation_deg))
         sigmas[:POSE] = config.position_m
         self._start_variances: FloatArray = sigmas**2
@@ -193,7 +194,8 @@ class LightPlaces:
             mine = rows[here]
             self._information[mine] += information[here]
             self._vectors[mine] += vectors[here]
-            self._last_ns[mine, number] = shots.poses[image].stamp_ns
+            self._last_ns[mine, number] = stamp_ns = shots.poses[image].stamp_ns
+            self._all_heard_until_ns = min(self._all_heard_until_ns, stamp_ns + _SETTLED_NS)
             self._last_places[mine, number] = shots.vehicle[image]
         self._active[rows] = True
         self._unsettled = True
@@ -223,20 +225,15 @@ class LightPlaces:
         self._information[other], self._vectors[other] = 0.0, 0.0
         self._information[other, :LIGHT, :LIGHT] = prior
         self._active[row], self._active[other] = True, False
-        self._unsettled = True
+        self._unsettled, self._all_heard_until_ns = True, _NEVER_NS
 
     def settle(self, stamp_ns: int) -> None:
         """Find the most probable positions and shared errors after all that was observed so far."""
-        rows = self._active.nonzero()[0]
-        if not len(rows):
-            return
         if self._unsettled:
-            self._solve(rows)
+            self._solve(self._active.nonzero()[0])
             self._unsettled = False
-        silent = np.maximum.reduce(self._last_ns, axis=1).take(rows) < stamp_ns - _SETTLED_S * 1e9
-        if np.count_nonzero(silent):
-            self._close(rows[silent])
-            self._let_drift(stamp_ns)
+        if stamp_ns > self._all_heard_until_ns:
+            self._close_silent(stamp_ns)
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values."""
@@ -273,7 +270,7 @@ class LightPlaces:
         self._shared, self._shared_covariance = shared, covariance
         self._shared_ns = values["shared_ns"]
         self._told_ns, self._told_at = list(values["told_ns"]), list(values["told_at"])
-        self._unsettled = bool(values["unsettled"])
+        self._unsettled, self._all_heard_until_ns = bool(values["unsettled"]), _NEVER_NS
 
     def _prior(self, *, on_map: bool) -> FloatArray:
         """(4, 4) information about a light before anything is seen of it."""
@@ -303,6 +300,18 @@ class LightPlaces:
             information[:, LIGHT:, LIGHT:] - back @ cross,
             vectors[:, LIGHT:] - (back @ vectors[:, :LIGHT, None])[..., 0],
         )
+
+    def _close_silent(self, stamp_ns: int) -> None:
+        """Close those that have not been seen for long, and note when the next one can be due."""
+        rows = self._active.nonzero()[0]
+        if not len(rows):
+            return
+        last_ns = np.maximum.reduce(self._last_ns, axis=1).take(rows)
+        self._all_heard_until_ns = int(last_ns.min()) + _SETTLED_NS
+        silent = rows[last_ns < stamp_ns - _SETTLED_NS]
+        if len(silent):
+            self._close(silent)
+            self._let_drift(stamp_ns)
 
     def _close(self, rows: IntArray) -> None:
         """Turn what lights told into prior knowledge: of the shared errors, and of each light alone."""

@@ -110,6 +110,8 @@ class Reporter:
             found = places.rows_of(map_rows, table.ids.take(rows))
             known, unknown = (found >= 0).nonzero()[0], (found < 0).nonzero()[0]
             found = found.take(known)
+            if not len(unknown):
+                return places.places.positions.take(found, axis=0), list(places.places.covariances.take(found, axis=0))
             positions[known] = places.places.positions.take(found, axis=0)
             for i, covariance in zip(known.tolist(), places.places.covariances.take(found, axis=0), strict=True):
                 covariances[i] = covariance
