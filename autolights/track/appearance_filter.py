@@ -168,13 +168,16 @@ class AppearanceFilter:
             self._shares.take(types, axis=0)[:, None],
         )
 
-    def predict(self, beliefs: FloatArray, lights: LightsByType, duration_ms: int) -> FloatArray:
+    def predict(self, beliefs: FloatArray, lights: LightsByType, duration_ms: int) -> tuple[FloatArray, FloatArray]:
         """Let time pass.
 
         Args:
             beliefs: (m, l, c, K).
             lights: Whose they are.
             duration_ms: Since they were made.
+
+        Returns:
+            (m, l, c, K) beliefs, and (m, l, K) their `states`.
         """
         step = self._steps.get(duration_ms)
         if step is None:
@@ -190,14 +193,14 @@ class AppearanceFilter:
             np.matmul(beliefs[here].reshape(-1, k), stay[t], out=moved[here].reshape(-1, k))
             np.matmul(sums[here].reshape(-1, k), both[t], out=by_level[here].reshape(-1, 2 * k))
         after = by_level[..., :k]  # by level, "missed" last: A, then ρ (A − S)
-        fresh = (1 - rho) * np.add.reduce(after, axis=2)
-        drawn = fresh[:, :, None] * lights.found
+        states = np.add.reduce(after, axis=2)
+        drawn = ((1 - rho) * states)[:, :, None] * lights.found
         drawn[:, :, :-1] += by_level[:, :, :-1, k:]
         looks = drawn.take(self._level_of, axis=2)
         looks *= lights.shares
         moved += looks
         moved[:, :, -1] = rho * after[:, :, -1] + drawn[:, :, -1]
-        return moved
+        return moved, states
 
     def _step(self, duration_ms: int) -> tuple[float, FloatArray, FloatArray]:
         """ρ, and of each type A and ρ (A − S) side by side, and ρ S."""
@@ -212,7 +215,7 @@ class AppearanceFilter:
             stays[t, own, own] = rho * stay
         return rho, both, stays
 
-    def seconds(self, class_probs: FloatArray, types: IntArray) -> FloatArray:
+    def seconds(self, class_probs: FloatArray, types: IntArray) -> tuple[IntArray, FloatArray]:
         """What the class says that comes second: after an error it is mostly the truth.
 
         Args:
@@ -220,7 +223,7 @@ class AppearanceFilter:
             types: (j,) of the lights.
 
         Returns:
-            (j, c, K) factors of the likelihood, one for all appearances but those of the leading class.
+            (j,) the leading classes, and (j, K) factors of the likelihood of their appearances.
         """
         j, k = class_probs.shape
         every, lead = np.arange(j), class_probs.argmax(axis=1)
@@ -235,19 +238,17 @@ class AppearanceFilter:
         of_rest, more_if_second = self._if_not_second.take(types, axis=1)[:, :, None]
         by_class = of_rest + shares * more_if_second
         by_class[every, lead] = np.add.reduce(shares * self.confusable[types, lead], axis=1)
-        factors = np.ones((j, *self.first.shape[1:]), self.first.dtype)
-        of_state = by_class.take(self._class_of.take(types, axis=0) + k * every[:, None])
-        factors[every, k * np.arange(len(self._ones) - 1)[:, None] + lead] = of_state
-        return factors
+        return lead, by_class.take(self._class_of.take(types, axis=0) + k * every[:, None])
 
     def update(
         self,
         beliefs: FloatArray,
+        states: FloatArray,
         lights: LightsByType,
         likelihood: FloatArray,
         partners: Partners | None = None,
-        seconds: tuple[IntArray, FloatArray] | None = None,
-    ) -> FloatArray:
+        seconds: tuple[IntArray, IntArray, FloatArray] | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
         """Take in what cameras saw at one instant.
 
         The first belief about a light is from its own looks. In the second one, what is seen of a light is evidence for
@@ -256,48 +257,67 @@ class AppearanceFilter:
 
         Args:
             beliefs: (m, 1 or 2, c, K); of the second, the sums over appearances are equal within a group.
+            states: (m, 1 or 2, K) of them.
             lights: Whose they are.
             likelihood: (m, c) of each appearance, the product over cameras; ones say nothing.
             partners: Which lights form a group; needed for second beliefs.
-            seconds: Rows of lights whose second class says something new, and (j, c, K) what (`seconds`).
+            seconds: Rows of lights whose second class says something new, and what: the two (j, ...) of `seconds`.
 
         Returns:
-            (m, 1 or 2, c, K). Where the model calls a look impossible, it is believed as at first sight.
+            (m, 1 or 2, c, K) beliefs and (m, 1 or 2, K) their `states`. Where the model calls a look impossible, it is
+            believed as at first sight.
         """
         posterior = beliefs * likelihood.astype(beliefs.dtype, copy=False)[:, None, :, None]
         if seconds is not None:
-            posterior[seconds[0]] *= seconds[1][:, None]
-        self._settle(posterior[:, 0], lights, likelihood)
+            self._weigh(posterior, *seconds)
+        after = self.states(posterior)
+        self._settle(posterior[:, 0], after[:, 0], lights, likelihood)
         if partners is not None and beliefs.shape[1] > 1:
-            self._settle_together(beliefs[:, 1], posterior[:, 1], lights, partners)
-        return posterior
+            self._settle_together(states[:, 1], posterior[:, 1], after[:, 1], lights, partners)
+        return posterior, after
 
     def states(self, beliefs: FloatArray) -> FloatArray:
-        """(m, K) belief in each hidden state, whatever it looks like, of (m, c, K)."""
+        """(..., K) belief in each hidden state, whatever it looks like, of (..., c, K)."""
         return np.asarray(self._every @ beliefs)
 
-    def _settle(self, posterior: FloatArray, lights: LightsByType, likelihood: FloatArray) -> None:
-        """Make (m, c, K) beliefs sum to 1 in place; where nothing is left, start as at first sight."""
-        mass = np.add.reduce(posterior.reshape(len(posterior), -1), axis=1)
+    def _weigh(self, posterior: FloatArray, rows: IntArray, lead: IntArray, factors: FloatArray) -> None:
+        """Multiply the appearances of each row's leading class, of all levels and layers, by (j, K) factors in place."""
+        _, layers, c, k = posterior.shape
+        layer = rows[:, None, None] * layers + np.arange(layers)[:, None]
+        appearances = layer * c + (self.confusable.shape[1] * np.arange(len(self._ones) - 1) + lead[:, None])[:, None]
+        posterior.reshape(-1, k)[appearances] *= factors[:, None, None]
+
+    def _settle(self, posterior: FloatArray, states: FloatArray, lights: LightsByType, likelihood: FloatArray) -> None:
+        """Make (m, c, K) beliefs and (m, K) states sum to 1; where nothing is left, start as at first sight."""
+        mass = np.add.reduce(states, axis=1)
         if np.count_nonzero(mass) < len(mass):
             lost = mass == 0
             posterior[lost] = lights.first[lost] * likelihood[lost][:, :, None]
             lost = posterior.sum(axis=(1, 2)) == 0
             posterior[lost] = lights.first[lost]
-            mass = posterior.sum(axis=(1, 2))
-        posterior *= (1 / mass)[:, None, None]
+            states[:] = self.states(posterior)
+            mass = states.sum(axis=1)
+        scale = 1 / mass
+        posterior *= scale[:, None, None]
+        states *= scale[:, None]
 
     def _settle_together(
-        self, beliefs: FloatArray, posterior: FloatArray, lights: LightsByType, partners: Partners
+        self,
+        before: FloatArray,
+        posterior: FloatArray,
+        states: FloatArray,
+        lights: LightsByType,
+        partners: Partners,
     ) -> None:
-        """The same for lights that share evidence; `beliefs` are those of before."""
-        before, after = self.states(beliefs), self.states(posterior)
-        evidence = partners.total(np.log(np.maximum(after / np.maximum(before, _NEVER), _NEVER)))
+        """The same for lights that share evidence, from (m, K) states before they were seen."""
+        evidence = partners.total(np.log(np.maximum(states / np.maximum(before, _NEVER), _NEVER)))
         state = before * np.exp(evidence - np.maximum.reduce(evidence, axis=1, keepdims=True))
         state /= np.add.reduce(state, axis=1, keepdims=True)
-        factor = state / np.maximum(after, _NEVER)
+        factor = state / np.maximum(states, _NEVER)
         posterior *= factor[:, None, :]
-        lost = np.abs(np.add.reduce(after * factor, axis=1) - 1) > _LOST
+        states *= factor
+        lost = np.abs(np.add.reduce(states, axis=1) - 1) > _LOST
         if np.count_nonzero(lost):
             lost = partners.total(lost[:, None].astype(np.float64))[:, 0] > 0
             posterior[lost] = lights.first[lost]
+            states[lost] = self.states(lights.first[lost])

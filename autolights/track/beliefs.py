@@ -24,6 +24,7 @@ class Beliefs:
             what was seen of its group as well.
         lights: Their types.
         may_join: (m,) who may share evidence with the others of its group; None while nobody has asked.
+        states: (m, 1 or 2, K) belief in each hidden state, whatever it looks like.
     """
 
     filter: AppearanceFilter
@@ -33,6 +34,7 @@ class Beliefs:
     array: FloatArray
     lights: LightsByType
     may_join: BoolArray | None = None
+    _states: FloatArray | None = None
 
     @classmethod
     def of(
@@ -57,6 +59,13 @@ class Beliefs:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @property
+    def states(self) -> FloatArray:
+        """See the class."""
+        if self._states is None:
+            self._states = self.filter.states(self.array)
+        return self._states
 
     @property
     def own(self) -> FloatArray:
@@ -116,11 +125,13 @@ class Beliefs:
 
     def predict(self, elapsed_ms: int) -> None:
         """Let time pass."""
-        self.array = self.filter.predict(self.array, self.lights, elapsed_ms)
+        self.array, self._states = self.filter.predict(self.array, self.lights, elapsed_ms)
 
-    def update(self, likelihood: FloatArray, seconds: tuple[IntArray, FloatArray] | None) -> None:
+    def update(self, likelihood: FloatArray, seconds: tuple[IntArray, IntArray, FloatArray] | None) -> None:
         """Take in what cameras saw at one instant: see `AppearanceFilter.update`."""
-        self.array = self.filter.update(self.array, self.lights, likelihood, self.partners, seconds)
+        self.array, self._states = self.filter.update(
+            self.array, self.states, self.lights, likelihood, self.partners, seconds
+        )
 
     def share_among(self, may_join: BoolArray) -> "Beliefs":
         """Let those (m,) lights share evidence with the others of their groups that may."""
@@ -135,4 +146,4 @@ class Beliefs:
         if together.any():
             shared = self.told if self.shares else None
             layers.append(share(self.own, shared, self.joined, joined, self.lights.initial))
-        return replace(self, joined=joined, array=np.stack(layers, axis=1), may_join=may_join)
+        return replace(self, joined=joined, array=np.stack(layers, axis=1), may_join=may_join, _states=None)

@@ -148,7 +148,9 @@ class TimedStates:
             return
         beliefs.update(likelihood.take(beliefs.rows, axis=0), self._second_classes(leading, looked))
 
-    def _second_classes(self, leading: FloatArray | None, looked: BoolArray) -> tuple[IntArray, FloatArray] | None:
+    def _second_classes(
+        self, leading: FloatArray | None, looked: BoolArray
+    ) -> tuple[IntArray, IntArray, FloatArray] | None:
         """Whose second class says something new, and what, for `Beliefs.update`; None if nobody's does.
 
         While the leading two stay as they were, they say nothing new.
@@ -167,7 +169,7 @@ class TimedStates:
         telling = new.nonzero()[0]
         if not len(telling):
             return None
-        return telling, self._filter.seconds(leading.take(telling, axis=0), types.take(telling))
+        return telling, *self._filter.seconds(leading.take(telling, axis=0), types.take(telling))
 
     def end_set(self, alive: BoolArray, over: BoolArray) -> None:
         """Say which tracks are alive: only these share evidence. Those whose past is over take no room from now on."""
@@ -180,7 +182,7 @@ class TimedStates:
             return
         rows = beliefs.rows
         lives, looked = alive.take(rows), self._looked.take(rows)
-        of_classes = (self._filter.states(beliefs.own)[:, None] @ self._tables_of_lights().class_membership)[:, 0]
+        of_classes = (beliefs.states[:, :1] @ self._tables_of_lights().class_membership)[:, 0]
         self._disputes.judge(rows, beliefs.mates, of_classes, lives & looked, self._now_ms or 0)
         self._beliefs = beliefs.share_among(lives & ~self._disputes.disputed.take(rows))
 
@@ -207,7 +209,7 @@ class TimedStates:
             denied = beliefs.partners.total(denied.astype(np.float64)) > 0
         every = np.arange(len(rows))
         choice = choose(
-            (self._filter.states(beliefs.told)[:, None] @ tables.membership)[:, 0],
+            (beliefs.states[:, -1:] @ tables.membership)[:, 0],
             tables.contradiction,
             denied,
             said,
