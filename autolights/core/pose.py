@@ -1,6 +1,6 @@
 """Where the vehicle is: poses, and the pose at an exact stamp between two of them."""
 
-from bisect import bisect_left, insort
+from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,7 +62,9 @@ class PoseBuffer:
         max_extrapolation_s: float = 0.05,
         history_s: float | None = None,
     ) -> None:
-        self._poses = sorted({pose.stamp_ns: pose for pose in poses}.values(), key=_stamp)
+        by_stamp = {pose.stamp_ns: pose for pose in poses}
+        self._stamps_ns = sorted(by_stamp)
+        self._poses = [by_stamp[stamp_ns] for stamp_ns in self._stamps_ns]
         self._max_gap_ns = round(max_gap_s * 1e9)
         self._max_extrapolation_ns = round(max_extrapolation_s * 1e9)
         self._history_ns = None if history_s is None else round(history_s * 1e9)
@@ -75,17 +77,21 @@ class PoseBuffer:
 
         One that is older than all that `history_s` keeps tells that the clock was set back: the buffer begins anew.
         """
-        if self._history_ns is not None and self._poses and pose.stamp_ns < self._poses[-1].stamp_ns - self._history_ns:
-            self._poses.clear()
-        i = bisect_left(self._poses, pose.stamp_ns, key=_stamp)
-        if i < len(self._poses) and self._poses[i].stamp_ns == pose.stamp_ns:
+        stamps_ns, history_ns = self._stamps_ns, self._history_ns
+        if history_ns is not None and stamps_ns and pose.stamp_ns < stamps_ns[-1] - history_ns:
+            self._forget(len(stamps_ns))
+        i = bisect_left(stamps_ns, pose.stamp_ns)
+        if i < len(stamps_ns) and stamps_ns[i] == pose.stamp_ns:
             self._poses[i] = pose
         else:
-            insort(self._poses, pose, key=_stamp)
-        if self._history_ns is not None:
-            oldest_ns = self._poses[-1].stamp_ns - self._history_ns
-            if self._poses[0].stamp_ns < oldest_ns:
-                del self._poses[: bisect_left(self._poses, oldest_ns, key=_stamp)]
+            stamps_ns.insert(i, pose.stamp_ns)
+            self._poses.insert(i, pose)
+        if history_ns is not None and stamps_ns[0] < stamps_ns[-1] - history_ns:
+            self._forget(bisect_left(stamps_ns, stamps_ns[-1] - history_ns))
+
+    def _forget(self, count: int) -> None:
+        """The oldest."""
+        del self._stamps_ns[:count], self._poses[:count]
 
     def at(self, stamp_ns: int) -> Pose:
         """The pose at exactly this stamp.
@@ -93,16 +99,16 @@ class PoseBuffer:
         Raises:
             PoseError: If there are no poses, the stamp lies too far outside them, or in too wide a gap.
         """
-        poses = self._poses
+        poses, stamps_ns = self._poses, self._stamps_ns
         if not poses:
             raise PoseError(f"no pose at stamp {stamp_ns}: no poses have arrived")
-        i = bisect_left(poses, stamp_ns, key=_stamp)
-        if i < len(poses) and poses[i].stamp_ns == stamp_ns:
+        i = bisect_left(stamps_ns, stamp_ns)
+        if i < len(poses) and stamps_ns[i] == stamp_ns:
             return poses[i]
-        outside_ns = max(poses[0].stamp_ns - stamp_ns, stamp_ns - poses[-1].stamp_ns)
+        outside_ns = max(stamps_ns[0] - stamp_ns, stamp_ns - stamps_ns[-1])
         if outside_ns > self._max_extrapolation_ns or (outside_ns > 0 and len(poses) < 2):
             raise PoseError(
-                f"no pose at stamp {stamp_ns}: poses cover {poses[0].stamp_ns} to {poses[-1].stamp_ns}, "
+                f"no pose at stamp {stamp_ns}: poses cover {stamps_ns[0]} to {stamps_ns[-1]}, "
                 f"which it misses by {outside_ns / 1e9:.3f} s (allowed: {self._max_extrapolation_ns / 1e9:.3f} s)"
             )
         i = min(max(i, 1), len(poses) - 1)
@@ -125,7 +131,3 @@ def _between(before: Pose, after: Pose, stamp_ns: int) -> Pose:
     pose = object.__new__(Pose)
     pose.__dict__.update(stamp_ns=stamp_ns, position=position, quaternion_xyzw=quaternion)
     return pose
-
-
-def _stamp(pose: Pose) -> int:
-    return pose.stamp_ns

@@ -87,6 +87,7 @@ class AppearanceFilter:
     _every: FloatArray  # (c,) ones
     _ones: FloatArray  # (L + 1, c) which appearances are of a level, "missed" last
     _level_of: IntArray  # (c,) the same as numbers
+    _levels_of_layers: IntArray  # (2 L,) where a class of the first level of the first layer comes again
     _found: FloatArray  # (t, L + 1, K)
     _shares: FloatArray  # (t, c, K)
     _steps: dict[int, tuple[float, FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
@@ -152,6 +153,7 @@ class AppearanceFilter:
             _every=np.ones(c, dtype),
             _ones=ones.astype(dtype),
             _level_of=ones.argmax(axis=0),
+            _levels_of_layers=(c * np.arange(2)[:, None] + k * np.arange(levels)).ravel(),
             _found=(ones @ all_looks).astype(dtype),
             _shares=np.concatenate([if_level.reshape(t, c - 1, states), np.ones((t, 1, states))], axis=1).astype(dtype),
         )
@@ -281,11 +283,12 @@ class AppearanceFilter:
         return np.asarray(self._every @ beliefs)
 
     def _weigh(self, posterior: FloatArray, rows: IntArray, lead: IntArray, factors: FloatArray) -> None:
-        """Multiply the appearances of each row's leading class, of all levels and layers, by (j, K) factors in place."""
+        """Multiply what each row's leading class looks like, on all levels and layers, by (j, K) factors in place."""
         _, layers, c, k = posterior.shape
-        layer = rows[:, None, None] * layers + np.arange(layers)[:, None]
-        appearances = layer * c + (self.confusable.shape[1] * np.arange(len(self._ones) - 1) + lead[:, None])[:, None]
-        posterior.reshape(-1, k)[appearances] *= factors[:, None, None]
+        per_light = layers * (len(self._ones) - 1)
+        appearances = ((rows * layers * c + lead)[:, None] + self._levels_of_layers[:per_light]).ravel()
+        flat = posterior.reshape(-1, k)
+        flat[appearances] = flat.take(appearances, axis=0) * factors.repeat(per_light, axis=0)
 
     def _settle(self, posterior: FloatArray, states: FloatArray, lights: LightsByType, likelihood: FloatArray) -> None:
         """Make (m, c, K) beliefs and (m, K) states sum to 1; where nothing is left, start as at first sight."""

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+
 from autolights.core import BoolArray, FloatArray, IntArray
 
 
@@ -44,6 +46,12 @@ class Reports:
     go_held: BoolArray
     shares: BoolArray
     disputed: BoolArray
+
+    @classmethod
+    def blank(cls, count: int) -> "Reports":
+        """Room for so many tracks, to be written to."""
+        flashing, doubtful, go_held, shares, disputed = np.empty((5, count), dtype=bool)
+        return cls(np.empty(count, dtype=np.int64), flashing, np.empty(count), doubtful, go_held, shares, disputed)
 
     def take(self, rows: IntArray) -> "Reports":
         """What is said of these tracks."""

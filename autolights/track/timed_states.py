@@ -195,9 +195,10 @@ class TimedStates:
 
     def report(self) -> Reports:
         """What is said of each track; of those of which nothing is remembered, what is likely before any look."""
-        reports = self._unseen.take(self._types)
-        reports.disputed[:] = self._disputes.disputed
         beliefs, said = self._beliefs, self._said
+        all_remembered = len(beliefs) == len(said)
+        reports = Reports.blank(len(said)) if all_remembered else self._unseen.take(self._types)
+        reports.disputed[:] = self._disputes.disputed
         self._said = np.full(len(said), -1)
         if not len(beliefs):
             return reports

@@ -118,10 +118,11 @@ class TrackTable:
             elapsed_ns: Since the set before.
             config: Birth and death.
         """
-        missed = expected & ~detected
-        self.hits = np.where(detected, self.hits + 1, self.hits)
-        self.misses = np.where(detected, 0, self.misses + missed)
-        self.missed_ns = np.where(detected, 0, self.missed_ns + missed * elapsed_ns)
+        unseen = ~detected
+        missed = expected & unseen
+        self.hits = self.hits + detected
+        self.misses = (self.misses + missed) * unseen
+        self.missed_ns = (self.missed_ns + missed * elapsed_ns) * unseen
         self.last_seen_ns = np.where(detected, set_ns, self.last_seen_ns)
         born = detected & (self.hits >= config.birth_hits)
         if config.mode == "paper":
@@ -131,7 +132,7 @@ class TrackTable:
         dead = missed & (~self.alive | due)
         self.alive = (self.alive | born) & ~dead
         self.known = self.known | born
-        self.hits = np.where(dead, 0, self.hits)
+        self.hits = self.hits * ~dead
 
     def stale(self, set_ns: int, config: TrackConfig) -> BoolArray:
         """(n,) whether a state is too old to act upon."""
