@@ -47,9 +47,6 @@ class _Known(NamedTuple):
     lanes: tuple[str, ...]
 
 
-_LAST = (3, 0.0)  # comes after any intersection
-
-
 class Relevance:
     """Tells of lights what they mean to the vehicle; all that depends on the map alone is computed once.
 
@@ -112,7 +109,7 @@ class Relevance:
         x, y = x / length, y / length
         east, north, _ = pose.position.tolist()
         max_aside_m, least_facing = self._config.max_aside_m, self._least_facing
-        told: list[tuple[str, int]] = []
+        by_rank: dict[str, tuple[list[LightEstimate], ...]] = {}  # of each intersection
         nearest: dict[str, tuple[int, float]] = {}
         # Numbers of a light are too few for arrays to be worth their calls.
         for light in estimates:
@@ -135,11 +132,13 @@ class Relevance:
             vars(light).update(ahead_m=ahead_m, intersection=name, governs=governs)
             rank = 0 if governs else 1 if ahead_m > 0 else 2
             key = rank, abs(ahead_m)
-            if key < nearest.get(name, _LAST):
+            if name not in nearest:
+                nearest[name], by_rank[name] = key, ([], [], [])
+            elif key < nearest[name]:
                 nearest[name] = key
-            told.append((name, rank))
-        order = sorted(range(len(told)), key=lambda i: (nearest[told[i][0]], told[i]))
-        return [estimates[i] for i in order]
+            by_rank[name][rank].append(light)
+        order = sorted(nearest, key=lambda name: (nearest[name], name))
+        return [light for name in order for lights in by_rank[name] for light in lights]
 
     def explain(self) -> dict[str, Any]:
         """What the latest estimates were judged by, as JSON-ready values: the lanes that the vehicle is on."""
