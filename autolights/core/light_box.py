@@ -29,13 +29,12 @@ def light_corners(positions: FloatArray, headings_deg: FloatArray, sizes_m: Floa
         (n, 8, 3) metres, in the frame of `positions`.
     """
     heading = np.radians(headings_deg)
-    sine, cosine, zero = np.sin(heading), np.cos(heading), np.zeros_like(heading)
-    face = np.stack([sine, cosine, zero], axis=-1)
-    across = np.stack([cosine, -sine, zero], axis=-1)
-    up = np.broadcast_to([0.0, 0.0, 1.0], face.shape)
-    width, height, depth = (sizes_m[:, i, None] / 2 for i in range(3))
-    half_axes = np.stack([across * width, face * depth, up * height], axis=1)  # (n, 3 axes, 3)
-    return np.asarray(positions[:, None, :] + np.einsum("ca,nad->ncd", _SIGNS, half_axes))
+    sine, cosine, (width, height, depth) = np.sin(heading), np.cos(heading), sizes_m.T / 2
+    half_axes = np.zeros((len(heading), 3, 3))  # across the face, where it looks, up
+    half_axes[:, 0, 0], half_axes[:, 0, 1] = cosine * width, -sine * width
+    half_axes[:, 1, 0], half_axes[:, 1, 1] = sine * depth, cosine * depth
+    half_axes[:, 2, 2] = height
+    return np.asarray(positions[:, None] + _SIGNS @ half_axes)
 
 
 def project_corners(corners: FloatArray, camera: CameraModel, cam_from_utm: FloatArray) -> FloatArray:

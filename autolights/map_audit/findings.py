@@ -232,7 +232,7 @@ class _Judge:
         if not self.enough(evidence.seen):
             return []
         offset, covariance = self._free_place(row)
-        # Farther off than lights are looked for it is another light, with which the runtime took it for the same.
+        # Farther off than a light can have moved, the runtime has taken another one for it.
         near = float(np.linalg.norm(offset)) <= self._config.moved_max_m
         if near and covariance is not None and self._beyond_doubt_m(offset, covariance) >= self._config.moved_m:
             position = self._lights.positions[row] + offset

@@ -293,10 +293,10 @@ class AppearanceFilter:
     def _settle(self, posterior: FloatArray, states: FloatArray, lights: LightsByType, likelihood: FloatArray) -> None:
         """Make (m, c, K) beliefs and (m, K) states sum to 1; where nothing is left, start as at first sight."""
         mass = np.add.reduce(states, axis=1)
-        if np.count_nonzero(mass) < len(mass):
-            lost = mass == 0
+        if np.count_nonzero(mass > _NEVER) < len(mass):
+            lost = mass <= _NEVER
             posterior[lost] = lights.first[lost] * likelihood[lost][:, :, None]
-            lost = posterior.sum(axis=(1, 2)) == 0
+            lost = posterior.sum(axis=(1, 2)) <= _NEVER
             posterior[lost] = lights.first[lost]
             states[:] = self.states(posterior)
             mass = states.sum(axis=1)

@@ -25,13 +25,11 @@ def measured_boxes(boxes: FloatArray, shots: Shots, images: IntArray) -> FloatAr
     """
     centres, halves = boxes[:2] - 0.5, boxes[2:] / 2  # points count from the centre of the top-left pixel
     points_px = centres[:, :, None] + halves[:, :, None] * _EDGE_MIDDLES[:, None]
-    left, right, top, bottom = np.moveaxis(
-        shots.back_project(points_px.reshape(2, -1), images.repeat(4)).reshape(2, -1, 4), 2, 0
-    )
+    x, y = shots.back_project(points_px.reshape(2, -1), images.repeat(4)).reshape(2, -1, 4)
     measured = np.empty((boxes.shape[1], 3))
-    measured[:, 0] = (left[0] + right[0]) / 2
-    measured[:, 1] = (top[1] + bottom[1]) / 2
-    measured[:, 2] = bottom[1] - top[1]
+    measured[:, 0] = (x[:, 0] + x[:, 1]) / 2
+    measured[:, 1] = (y[:, 2] + y[:, 3]) / 2
+    measured[:, 2] = y[:, 3] - y[:, 2]
     return measured
 
 

@@ -143,31 +143,39 @@ class PlaceBook:
         count = len(self._lights)
         rows = self._row_of_light.take(np.minimum(known, count))
         for i in (known >= count).nonzero()[0].tolist():
-            light = int(known[i]) - count
-            rows[i] = self._row_of_unmapped(int(unmapped.ids[light]), unmapped, light)
-        for i in (rows < 0).nonzero()[0].tolist():
-            light = int(known[i])
-            if self._row_of_light[light] < 0:
-                self._row_of_light[light] = self._append(light, self._lights, light)
-            rows[i] = self._row_of_light[light]
-        return rows
+            rows[i] = self._row_of_unmapped(unmapped, int(known[i]) - count)
+        new = (rows < 0).nonzero()[0]
+        if not len(new):
+            return rows
+        lights = np.unique(known.take(new))
+        mapped = int(lights.searchsorted(count))
+        self._append(lights[:mapped].tolist(), self._lights, lights[:mapped])
+        unmapped_lights = lights[mapped:] - count
+        self._append([-1 - int(unmapped.ids[light]) for light in unmapped_lights.tolist()], unmapped, unmapped_lights)
+        return self._rows(known, unmapped)
 
-    def _row_of_unmapped(self, track: int, unmapped: TrafficLightMap, light: int) -> int:
-        row = self._row_of_track.get(track)
-        if row is None:
-            row = self._row_of_track[track] = self._append(-1 - track, unmapped, light)
-        elif self._sizes_m[row].tolist() != unmapped.sizes_m[light].tolist():
+    def _row_of_unmapped(self, unmapped: TrafficLightMap, light: int) -> int:
+        """−1 if there is none yet."""
+        row = self._row_of_track.get(int(unmapped.ids[light]), -1)
+        if row >= 0 and self._sizes_m[row].tolist() != unmapped.sizes_m[light].tolist():
             self._sizes_m[row] = unmapped.sizes_m[light]
             self.places.restart(row, float(unmapped.headings_deg[light]), unmapped.sizes_m[light])
         return row
 
-    def _append(self, key: int, source: TrafficLightMap, light: int) -> int:
-        self._keys.append(key)
-        one = slice(light, light + 1)
-        self.places.append(source.positions[one], source.headings_deg[one], source.sizes_m[one], on_map=key >= 0)
-        self._sizes_m = np.concatenate([self._sizes_m, source.sizes_m[one]])
-        self._seen_ns = np.append(self._seen_ns, 0)
-        return len(self._keys) - 1
+    def _append(self, keys: list[int], source: TrafficLightMap, lights: IntArray) -> None:
+        """Begin with some lights of a map, all of them mapped or none."""
+        if not keys:
+            return
+        for row, key in enumerate(keys, start=len(self._keys)):
+            if key >= 0:
+                self._row_of_light[key] = row
+            else:
+                self._row_of_track[-1 - key] = row
+        self._keys += keys
+        sizes_m = source.sizes_m[lights]
+        self.places.append(source.positions[lights], source.headings_deg[lights], sizes_m, on_map=keys[0] >= 0)
+        self._sizes_m = np.concatenate([self._sizes_m, sizes_m])
+        self._seen_ns = np.concatenate([self._seen_ns, np.zeros(len(keys), dtype=np.int64)])
 
     def _rows_of_tracks(self, tracks: Iterable[int]) -> IntArray:
         return np.array([self._row_of_track.get(track, -1) for track in tracks], dtype=np.int64)

@@ -32,6 +32,7 @@ _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by i
 _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hidden heads
 _VAGUE_M = 100.0  # an unmapped light can be anywhere
 _NEVER_NS = -(2**62)
+_IDENTITY = np.eye(3)
 _KNOWN_M = 3.0  # standard deviation of a place, mostly of its depth, that tells more than a single box does
 _SETTLED_NS = 10_000_000_000  # a light unseen for so long has told all it has to tell of the shared errors
 _COLUMNS = (
@@ -114,15 +115,15 @@ class LightPlaces:
             sizes_m: (m, 3) width, height, depth of their types.
             on_map: Whether the positions are the map's.
         """
-        m, size = len(positions), self._vectors.shape[1]
-        information = self._prior(on_map=on_map)
-        variance = 1 / information[0, 0]
+        m, size, prior = len(positions), self._vectors.shape[1], self._prior(on_map=on_map)
+        information = np.zeros((m, size, size))
+        information[:, :LIGHT, :LIGHT] = prior
         rows = {
             "positions": positions,
-            "covariances": np.tile(variance * np.eye(3), (m, 1, 1)),
+            "covariances": (_IDENTITY / prior[0, 0])[None].repeat(m, axis=0),
             "_origins": positions,
             "_housings": light_corners(np.zeros((m, 3)), headings_deg, sizes_m),
-            "_information": np.pad(np.tile(information, (m, 1, 1)), [(0, 0), (0, size - LIGHT), (0, size - LIGHT)]),
+            "_information": information,
             "_vectors": np.zeros((m, size)),
             "_found": np.zeros((m, LIGHT)),
             "_last_ns": np.full((m, len(self._cameras)), _NEVER_NS),
@@ -168,7 +169,8 @@ class LightPlaces:
             return
         within = shots.optics.size_wh.T.take(images.take(due), axis=0) - _EDGE_PX
         boxes_xyxy = boxes_xyxy.take(due, axis=0)
-        whole = np.flatnonzero(((boxes_xyxy[:, :2] >= _EDGE_PX) & (boxes_xyxy[:, 2:] <= within)).all(axis=1))
+        inside = (boxes_xyxy[:, :2] >= _EDGE_PX) & (boxes_xyxy[:, 2:] <= within)
+        whole = (inside[:, 0] & inside[:, 1]).nonzero()[0]
         if not len(whole):
             return
         due = due.take(whole)
@@ -379,7 +381,8 @@ class LightPlaces:
         firsts = LIGHT + POSE + 3 * numbers  # column of each camera's first angle
         turns = self._shared[firsts[:, None] - LIGHT + np.arange(3)]
         # The world is seen turned by small angles w: q + w × q.
-        turned = np.broadcast_to(np.eye(3), (len(turns), 3, 3)).copy()
+        turned = np.empty((len(turns), 3, 3))
+        turned[:] = _IDENTITY
         turned[:, [2, 0, 1], [1, 2, 0]] += turns
         turned[:, [1, 2, 0], [2, 0, 1]] -= turns
         return expected_boxes(

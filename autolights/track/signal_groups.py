@@ -55,10 +55,10 @@ def share(
             evidence = np.log(told).sum(axis=0)
             state = before_all * np.exp(evidence - evidence.max())
             state /= state.sum()
-        for slot in np.setdiff1d(members, old):
-            marginal = own[slot].sum(axis=0)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                fresh[slot] = own[slot] * np.where(marginal > 0, state / marginal, 0.0)
+        joining = np.setdiff1d(members, old)
+        marginals = own[joining].sum(axis=1)
+        factors = np.divide(state, marginals, out=np.zeros_like(marginals), where=marginals > 0)
+        fresh[joining] = own[joining] * factors[:, None]
     return fresh
 
 

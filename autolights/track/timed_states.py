@@ -58,7 +58,7 @@ class TimedStates:
         self._groups = np.concatenate([self._groups, groups])
         self._looked = np.concatenate([self._looked, np.zeros(len(types), dtype=bool)])
         self._alive = np.concatenate([self._alive, np.zeros(len(types), dtype=bool)])
-        self._surely_seen = np.pad(self._surely_seen, ((0, len(types)), (0, 0)))
+        self._surely_seen = np.concatenate([self._surely_seen, np.zeros((len(types), self._widest))])
         self._said = np.concatenate([self._said, np.full(len(types), -1)])
         self._pairs = np.concatenate([self._pairs, np.full(len(types), -1)])
         self._disputes.append(len(types))

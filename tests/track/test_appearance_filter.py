@@ -272,6 +272,34 @@ def test_types_must_tell_equally_many_levels_apart(hmm: Hmm) -> None:
         LookReader.of([hmm["4"], other], {name: i for i, name in enumerate(SIGNALS.classes)})
 
 
+def test_single_precision_says_the_same(hmm: Hmm) -> None:
+    """Five minutes at ten sets a second: lights of all types, two in each group, whose looks contradict each other."""
+    certainty = Certainty((0.73, 0.88), (0.03, 0.09, 0.88), (0.67, 0.25, 0.08), 0.6)
+    params = [replace(own, certainty=certainty) for own in hmm.values()]
+    chains = [HiddenChain.of(own.type, SIGNALS, own, stages=4, odd_changes_per_hour=1.0) for own in params]
+    types = np.arange(len(params)).repeat(2)
+    partners, rng = Partners.of(types), np.random.default_rng(5)
+    filters = [
+        AppearanceFilter.of(chains, params, error_duration_s=0.4, dtype=dtype) for dtype in (np.float64, np.float32)
+    ]
+    beliefs = [own.first[types][:, None].repeat(2, axis=1) for own in filters]
+    worst = 0.0
+    for i in range(3000):
+        if i % 6 == 0:  # an appearance lasts
+            look = rng.random((len(types), filters[0].first.shape[1])) ** rng.integers(1, 12) + 1e-9
+        leading = rng.random((1, 5))
+        states = []
+        for n, own in enumerate(filters):
+            lights = own.lights(types)
+            moved, before = own.predict(beliefs[n], lights, 100)
+            second = (np.array([i % len(types)]), *own.seconds(leading, types[[i % len(types)]])) if i % 3 else None
+            beliefs[n], after = own.update(moved, before, lights, look, partners, second)
+            states.append(after)
+        assert beliefs[1].dtype == states[1].dtype == np.float32
+        worst = max(worst, float(np.abs(states[0] - states[1]).max()))
+    assert worst < 2e-4
+
+
 def test_two_half_times_are_one(hmm: Hmm) -> None:
     own = make_filter(hmm["4"], stages=8)
     np.testing.assert_allclose(
