@@ -232,9 +232,7 @@ class _Judge:
         if not self.enough(evidence.seen):
             return []
         offset, covariance = self._free_place(row)
-        # Farther off than a light can have moved, the runtime has taken another one for it.
-        near = float(np.linalg.norm(offset)) <= self._config.moved_max_m
-        if near and covariance is not None and self._beyond_doubt_m(offset, covariance) >= self._config.moved_m:
+        if covariance is not None and self._moved(offset, covariance):
             position = self._lights.positions[row] + offset
             findings.append(self._finding("moved", row, position, covariance, evidence))
         ((kind, count),) = evidence.types.most_common(1)
@@ -313,11 +311,16 @@ class _Judge:
         covariance = np.linalg.inv(information)
         return np.asarray(covariance @ vector), covariance
 
-    def _beyond_doubt_m(self, offset: FloatArray, covariance: FloatArray) -> float:
-        """How far off a light is, less a standard deviation, along those axes along which errors would not do that."""
+    def _moved(self, offset: FloatArray, covariance: FloatArray) -> bool:
+        """Whether a light is off, along those axes along which errors would not do that, and can have moved so far.
+
+        Farther off than that, the runtime has taken another light for it.
+        """
         variances, axes = np.linalg.eigh(covariance)
         along, sigmas = np.abs(axes.T @ offset), np.sqrt(variances)
-        return float(np.linalg.norm((along - sigmas)[along > self._gate * sigmas]))
+        sure = along > self._gate * sigmas
+        surely_m, most_m = np.linalg.norm((along - sigmas)[sure]), np.linalg.norm(along[sure])
+        return bool(surely_m >= self._config.moved_m and most_m <= self._config.moved_max_m)
 
     def _double(self, light: _Unmapped) -> bool:
         """Whether an unmapped light is one of the map that the runtime followed twice: in one place, never together."""

@@ -179,7 +179,7 @@ class AppearanceFilter:
             duration_ms: Since they were made.
 
         Returns:
-            (m, l, c, K) beliefs, and (m, l, K) their `states`.
+            (m, l, c, K) beliefs, and (m, l, K) their `states`, what can look like nothing included.
         """
         step = self._steps.get(duration_ms)
         if step is None:
@@ -293,10 +293,10 @@ class AppearanceFilter:
     def _settle(self, posterior: FloatArray, states: FloatArray, lights: LightsByType, likelihood: FloatArray) -> None:
         """Make (m, c, K) beliefs and (m, K) states sum to 1; where nothing is left, start as at first sight."""
         mass = np.add.reduce(states, axis=1)
-        if np.count_nonzero(mass > _NEVER) < len(mass):
-            lost = mass <= _NEVER
+        lost = ~(mass > _NEVER)
+        if np.count_nonzero(lost):
             posterior[lost] = lights.first[lost] * likelihood[lost][:, :, None]
-            lost = posterior.sum(axis=(1, 2)) <= _NEVER
+            lost = ~(posterior.sum(axis=(1, 2)) > _NEVER)
             posterior[lost] = lights.first[lost]
             states[:] = self.states(posterior)
             mass = states.sum(axis=1)
@@ -315,11 +315,11 @@ class AppearanceFilter:
         """The same for lights that share evidence, from (m, K) states before they were seen."""
         evidence = partners.total(np.log(np.maximum(states / np.maximum(before, _NEVER), _NEVER)))
         state = before * np.exp(evidence - np.maximum.reduce(evidence, axis=1, keepdims=True))
-        state /= np.add.reduce(state, axis=1, keepdims=True)
+        state /= np.maximum(np.add.reduce(state, axis=1, keepdims=True), _NEVER)
         factor = state / np.maximum(states, _NEVER)
         posterior *= factor[:, None, :]
         states *= factor
-        lost = np.abs(np.add.reduce(states, axis=1) - 1) > _LOST
+        lost = ~(np.abs(np.add.reduce(states, axis=1) - 1) < _LOST)
         if np.count_nonzero(lost):
             lost = partners.total(lost[:, None].astype(np.float64))[:, 0] > 0
             posterior[lost] = lights.first[lost]

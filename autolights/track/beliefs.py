@@ -124,8 +124,11 @@ class Beliefs:
         return Beliefs.of(self.filter, rows, self.lights.types, groups, self.joined, self.array)
 
     def predict(self, elapsed_ms: int) -> None:
-        """Let time pass."""
-        self.array, self._states = self.filter.predict(self.array, self.lights, elapsed_ms)
+        """Let time pass, if any does."""
+        if elapsed_ms:
+            self.array, self._states = self.filter.predict(self.array, self.lights, elapsed_ms)
+        else:
+            self._states = None  # summed up anew, as by whoever restores these beliefs
 
     def update(self, likelihood: FloatArray, seconds: tuple[IntArray, IntArray, FloatArray] | None) -> None:
         """Take in what cameras saw at one instant: see `AppearanceFilter.update`."""

@@ -62,9 +62,9 @@ class Duplicates:
             return
         left, top, right, bottom = projected.boxes_xyxy.T
         across, down, limits = left + right, top + bottom, 2 * _NEAR_HEIGHTS * (bottom - top)  # all of them twice
-        right, below = across[mine, None] - across, down[mine, None] - down
+        beside, below = across[mine, None] - across, down[mine, None] - down
         limits = np.minimum(limits[mine, None], limits)
-        near = right * right + below * below <= limits * limits
+        near = beside * beside + below * below <= limits * limits
         near &= images[mine, None] == images
         if np.count_nonzero(near) == len(mine):  # each with itself
             return

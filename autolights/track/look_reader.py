@@ -53,7 +53,7 @@ class LookReader:
     temperature: FloatArray
     thresholds: FloatArray
     dissent: FloatArray
-    _is_calibrated: bool  # all temperatures are 1
+    _has_temperature: bool  # of any type it is not 1
     _dissent_steps: FloatArray  # (t, L − 1) from each level to the next
 
     @classmethod
@@ -83,7 +83,7 @@ class LookReader:
             temperature,
             np.log(thresholds / (1 - thresholds)),
             dissent,
-            _is_calibrated=bool((temperature == 1).all()),
+            _has_temperature=bool((temperature != 1).any()),
             _dissent_steps=np.diff(dissent, axis=1),
         )
 
@@ -102,7 +102,7 @@ class LookReader:
         """
         m, class_count = class_probs.shape
         calibrated = class_probs
-        if not self._is_calibrated:
+        if self._has_temperature:
             calibrated = class_probs ** (1 / self.temperature.take(types))[:, None]
         padded = np.zeros((m, class_count + 1))
         padded[:, :-1] = calibrated

@@ -24,7 +24,7 @@ class CameraObservation:
         cost: (n, m) pixels of each pair, +inf where it is forbidden.
         association: Pairs of rows of `projected` and `detections`.
         positions: (m, 3) metres: detections localised by their size; NaN where a light's place is known, and, unless
-            all were asked for, where a detection is neither a known light nor a new one.
+            all were asked for, where a detection is no known light, and too doubtful or too small to be a new one.
         new_lights: Rows of detections that may be lights which nobody knew.
     """
 
@@ -59,7 +59,7 @@ class SetObservation:
         cost: (n, m) pixels of each pair, +inf where it is forbidden.
         association: Pairs of rows of `projected` and `detections`.
         positions: (m, 3) metres: detections localised by their size; NaN where a light's place is known, and, unless
-            all were asked for, where a detection is neither a known light nor a new one.
+            all were asked for, where a detection is no known light, and too doubtful or too small to be a new one.
         new_lights: Rows of detections that may be lights which nobody knew.
     """
 

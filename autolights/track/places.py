@@ -245,8 +245,8 @@ class LightPlaces:
             "lights": {name: getattr(self, name).tolist() for name in _COLUMNS},
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
-            "told_ns": self._told_ns,
-            "told_at": self._told_at,
+            "told_ns": list(self._told_ns),
+            "told_at": list(self._told_at),
             "unsettled": self._unsettled,
         }
 

@@ -57,7 +57,7 @@ def share(
             state /= state.sum()
         joining = np.setdiff1d(members, old)
         marginals = own[joining].sum(axis=1)
-        factors = np.divide(state, marginals, out=np.zeros_like(marginals), where=marginals > 0)
+        factors = np.divide(state, marginals, out=np.zeros_like(marginals), where=marginals > _NEVER)
         fresh[joining] = own[joining] * factors[:, None]
     return fresh
 

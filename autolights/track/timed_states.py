@@ -106,8 +106,6 @@ class TimedStates:
         now_ms = round(stamp_ns / 1e6)
         elapsed_ms = 0 if self._now_ms is None else now_ms - self._now_ms
         self._now_ms = now_ms
-        if elapsed_ms == 0:
-            return
         if len(self._beliefs):
             self._beliefs.predict(elapsed_ms)
 
@@ -221,7 +219,7 @@ class TimedStates:
         self._said[rows] = np.where(self._alive.take(rows), np.where(choice.doubtful, said, choice.outcome), -1)
         reports.class_ids[rows] = tables.class_ids[every, choice.outcome]
         reports.flashing[rows] = tables.flashing[every, choice.outcome]
-        reports.probability[rows] = choice.probability
+        reports.probability[rows] = np.minimum(choice.probability, 1.0)  # rounded, a certainty may be more
         reports.doubtful[rows] = choice.doubtful
         reports.go_held[rows] = choice.go_held
         reports.shares[rows] = beliefs.joined >= 0

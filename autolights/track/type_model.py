@@ -130,4 +130,4 @@ class OutcomeTables:
 
 
 def _rounded(names: Sequence[str], probabilities: NDArray[Any]) -> dict[str, float]:
-    return dict(zip(names, np.round(probabilities, 4).tolist(), strict=True))
+    return dict(zip(names, np.round(probabilities.astype(np.float64), 4).tolist(), strict=True))

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from autolights.cli import main
-from autolights.core import Pose, SignalSet
+from autolights.core import Pose, SignalSet, TrafficLightMap
 from autolights.core.errors import DataError, MapError, UsageError
 from autolights.data import Drive, load_map
 from autolights.data.drives import MAP
 from autolights.map_audit import MapAuditConfig, audit_map, find, gather_evidence, table
-from autolights.map_audit.evidence import Evidence, Sighting
+from autolights.map_audit.evidence import DriveEvidence, Evidence, Sighting
 from autolights.pipeline import PipelineConfig
 
 CONFIG = MapAuditConfig()
@@ -71,6 +71,20 @@ MOVED_ASIDE_M = -1.2
 def test_no_light_moves_farther_than_it_can_be_the_same_one(drive_along: Callable, signals: SignalSet) -> None:
     found = judge(drive_along(), signals=signals, config=MapAuditConfig(moved_max_m=1.0))
     assert "moved" not in {finding.kind for finding in found.findings}
+
+
+@pytest.mark.parametrize(("aside_m", "told"), [(2.8, ["moved"]), (5.0, [])])
+def test_doubt_about_depth_does_not_count_as_way_that_a_light_has_moved(aside_m: float, told: list[str]) -> None:
+    """Images put a light aside to 0.1 m, and 2.4 m behind its place to 1.5 m: together more than 3 m off."""
+    lights = TrafficLightMap(("a",), ("3",), np.zeros((1, 3)), np.array([270.0]), np.array([[0.36, 1.07, 0.3]]))
+    ways = [(100.0 * i, 0.0) for i in range(2)]
+    seen = [Sighting("day", "front", i, (0, 0, 20, 60), 30.0, ways[i % 2], True) for i in range(40)]
+    by_images, by_map = np.diag(np.array([1.5, 0.1, 0.1]) ** -2.0), np.eye(3) / 0.25**2
+    covariance = np.linalg.inv(by_images + by_map)
+    place = covariance @ by_images @ np.array([2.4, aside_m, 0.0])
+    evidence = Evidence(seen=seen, types=Counter({"3": 40}), places=[(place, covariance)])
+    found = find(lights, [DriveEvidence({"a": evidence}, {})], CONFIG, map_sigma_m=0.25)
+    assert [finding.kind for finding in found.findings] == told
 
 
 def test_a_map_without_faults_has_no_findings(drive_along: Callable, signals: SignalSet) -> None:
