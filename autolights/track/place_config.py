@@ -21,9 +21,10 @@ class PlaceConfig(Config):
         decorrelation_s: or so many seconds where the vehicle stands.
         drift_deg: How far a mounting wanders in a minute.
         drift_m: How far the constant error of the poses wanders in a minute.
-        every_s: Images of a camera that follow sooner say nothing new of a light's place, if no other camera's do,
-        least_news: nor does one that is worth less than this share of an independent one, by way and time since the
-            last: where the vehicle stands there is little to learn.
+        every_s: Images of a camera that follow sooner are no keyframes, from which places are learnt, if no other
+            camera's are,
+        least_news: nor is one that is worth less than this share of an independent one, by way and time since the last:
+            where the vehicle stands there is little to learn.
         projected_sigmas: Lights of the map are looked for where the images showed them, but no farther from their place
             in the map than so many times `map_m`; 0 looks for them where the map has them.
     """

@@ -15,7 +15,6 @@ References:
     adjustment (Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", Sec. 6).
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,6 +25,7 @@ from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners
 from autolights.core.shots import Shots
 from autolights.track.box_measurement import LIGHT, POSE, box_variances, expected_boxes, measured_boxes
+from autolights.track.keyframes import Keyframes
 from autolights.track.place_config import PlaceConfig
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
@@ -76,8 +76,7 @@ class LightPlaces:
         self._last_ns: IntArray = np.empty((0, c), dtype=np.int64)
         self._last_places: FloatArray = np.empty((0, c, 3))
         self._active: BoolArray = np.empty(0, dtype=bool)
-        self._told_ns = [_NEVER_NS] * c  # the image of each camera that told of all its lights, and the place of it
-        self._told_at = [[0.0, 0.0, 0.0]] * c
+        self._keyframes = Keyframes(c, config)
         self._unsettled = False
         self._all_heard_until_ns = _NEVER_NS  # no light is silent for long before that
         sigmas = np.full(size - LIGHT, np.radians(config.rotation_deg))
@@ -164,7 +163,7 @@ class LightPlaces:
             images: (m,) which image each box lies in, ascending.
         """
         numbers = np.array([self._cameras[camera.name] for camera in shots.optics.cameras])
-        due = self._due(rows, shots, images, numbers.tolist()).nonzero()[0]
+        due = self._due(rows, shots, images, numbers).nonzero()[0]
         if not len(due):
             return
         within = shots.optics.size_wh.T.take(images.take(due), axis=0) - _EDGE_PX
@@ -245,8 +244,7 @@ class LightPlaces:
             "lights": {name: getattr(self, name).tolist() for name in _COLUMNS},
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
-            "told_ns": list(self._told_ns),
-            "told_at": list(self._told_at),
+            "keyframes": self._keyframes.to_json(),
             "unsettled": self._unsettled,
         }
 
@@ -271,7 +269,7 @@ class LightPlaces:
         self._shared_information, self._shared_vector = information, vector
         self._shared, self._shared_covariance = shared, covariance
         self._shared_ns = values["shared_ns"]
-        self._told_ns, self._told_at = list(values["told_ns"]), list(values["told_at"])
+        self._keyframes.restore(values["keyframes"])
         self._unsettled, self._all_heard_until_ns = bool(values["unsettled"]), _NEVER_NS
 
     def _prior(self, *, on_map: bool) -> FloatArray:
@@ -341,28 +339,11 @@ class LightPlaces:
         self._shared_information = np.linalg.inv(covariance * np.outer(shrink, shrink))
         self._shared_vector = self._shared_information @ mean
 
-    def _due(self, rows: IntArray, shots: Shots, images: IntArray, numbers: list[int]) -> BoolArray:
-        """(m,) whether something new is told: now and then all images tell of all lights, else of what is new to them.
-
-        One camera that is due takes the others along: a set of images costs little more than one.
-        """
-        present = np.bincount(images).nonzero()[0].tolist()
-        places = shots.vehicle.tolist()
-        if any(self._is_due(numbers[image], shots.poses[image].stamp_ns, places[image]) for image in present):
-            for image in present:
-                number = numbers[image]
-                self._told_ns[number], self._told_at[number] = shots.poses[image].stamp_ns, places[image]
+    def _due(self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray) -> BoolArray:
+        """(m,) whether a box is taken in: all boxes of keyframes, and those of lights that are new to a camera."""
+        if self._keyframes.take(shots, np.bincount(images).nonzero()[0].tolist(), numbers.tolist()):
             return np.ones(len(rows), dtype=bool)
-        return np.asarray(self._last_ns.take(rows * len(self._cameras) + np.array(numbers).take(images)) == _NEVER_NS)
-
-    def _is_due(self, number: int, stamp_ns: int, place: list[float]) -> bool:
-        """Whether an image of a camera says enough that is new."""
-        config, elapsed_s = self._config, abs(stamp_ns - self._told_ns[number]) / 1e9
-        if elapsed_s < config.every_s:
-            return False
-        way_m = math.dist(place, self._told_at[number])
-        apart = way_m / config.decorrelation_m + elapsed_s / config.decorrelation_s
-        return math.tanh(apart / 2) >= config.least_news
+        return np.asarray(self._last_ns.take(rows * len(self._cameras) + numbers.take(images)) == _NEVER_NS)
 
     def _expected(
         self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray
