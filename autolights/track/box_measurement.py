@@ -1,7 +1,7 @@
 """What a detected box says of a housing, two directions and an angular height: measured, expected, and how uncertain.
 
-Unknowns are, of a light, three metres and the logarithm of its size; then the three metres by which all poses are off,
-and three angles for each camera.
+Unknowns are, of a light, three metres and the logarithm of its size; then the three metres by which all poses are off;
+and for each camera three angles and the seconds by which its images were exposed after their stamps.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from autolights.core import FloatArray, IntArray
 from autolights.core.shots import Shots
 from autolights.track.place_config import PlaceConfig
 
-LIGHT, POSE = 4, 3  # how many unknowns
+LIGHT, POSE, CAMERA = 4, 3, 4  # how many unknowns
 _NEAREST_M = 0.1
 _EDGE_MIDDLES = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])  # of a box's left, right, top and bottom
 
@@ -34,7 +34,13 @@ def measured_boxes(boxes: FloatArray, shots: Shots, images: IntArray) -> FloatAr
 
 
 def expected_boxes(
-    rays: FloatArray, housings: FloatArray, rotations: FloatArray, firsts: IntArray, unknowns: int
+    rays: FloatArray,
+    housings: FloatArray,
+    rotations: FloatArray,
+    velocities: FloatArray,
+    turns: FloatArray,
+    firsts: IntArray,
+    unknowns: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What `measured_boxes` should give of housings whose errors are known.
 
@@ -42,7 +48,9 @@ def expected_boxes(
         rays: (m, 3) metres from the lens to the centre, map frame.
         housings: (m, 8, 3) corners from the centre.
         rotations: (m, 3, 3) map frame to camera frame.
-        firsts: (m,) column of the first of the three angles of the camera.
+        velocities: (m, 3) metres per second of the vehicle, map frame.
+        turns: (m, 3) radians per second of the vehicle, about the camera's axes.
+        firsts: (m,) column of the first of the camera's unknowns.
         unknowns: How many there are.
 
     Returns:
@@ -65,8 +73,13 @@ def expected_boxes(
     jacobian[..., LIGHT : LIGHT + POSE] = -jacobian[..., :3]
     # About the axes to the right, down and ahead.
     by_angles = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [-height * y, height * x, 0 * x]])
-    columns = firsts[:, None] + np.arange(3)
-    jacobian[every[:, None, None], np.arange(3)[:, None], columns[:, None]] = by_angles.transpose(2, 0, 1)
+    of_camera = np.empty((len(rays), 3, CAMERA))
+    of_camera[..., :3] = by_angles.transpose(2, 0, 1)
+    # A little later the vehicle is farther on, and the world is seen turned the other way.
+    ahead = (jacobian[..., LIGHT : LIGHT + POSE] @ velocities[:, :, None])[..., 0]
+    of_camera[..., 3] = ahead - (of_camera[..., :3] @ turns[:, :, None])[..., 0]
+    columns = firsts[:, None] + np.arange(CAMERA)
+    jacobian[every[:, None, None], np.arange(3)[:, None], columns[:, None]] = of_camera
     return expected, jacobian, depths_m
 
 

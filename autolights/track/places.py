@@ -24,8 +24,9 @@ from autolights.core import BoolArray, CameraModel, FloatArray, IntArray, Pose
 from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners
 from autolights.core.shots import Shots
-from autolights.track.box_measurement import LIGHT, POSE, box_variances, expected_boxes, measured_boxes
+from autolights.track.box_measurement import CAMERA, LIGHT, POSE, box_variances, expected_boxes, measured_boxes
 from autolights.track.keyframes import Keyframes
+from autolights.track.motion import CameraMotion, Stand, rates
 from autolights.track.place_config import PlaceConfig
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
@@ -64,7 +65,7 @@ class LightPlaces:
     def __init__(self, cameras: Sequence[str], config: PlaceConfig) -> None:
         self._config = config
         self._cameras = {name: number for number, name in enumerate(cameras)}
-        c, size = len(self._cameras), LIGHT + POSE + 3 * len(self._cameras)
+        c, size = len(self._cameras), LIGHT + POSE + CAMERA * len(self._cameras)
         self.positions: FloatArray = np.empty((0, 3))
         self.covariances: FloatArray = np.empty((0, 3, 3))
         self._origins: FloatArray = np.empty((0, 3))
@@ -76,16 +77,14 @@ class LightPlaces:
         self._last_ns: IntArray = np.empty((0, c), dtype=np.int64)
         self._last_places: FloatArray = np.empty((0, c, 3))
         self._active: BoolArray = np.empty(0, dtype=bool)
-        self._keyframes = Keyframes(c, config)
+        self._keyframes, self._motion = Keyframes(c, config), CameraMotion(c)
         self._unsettled = False
         self._all_heard_until_ns = _NEVER_NS  # no light is silent for long before that
-        sigmas = np.full(size - LIGHT, np.radians(config.rotation_deg))
-        sigmas[:POSE] = config.position_m
-        self._start_variances: FloatArray = sigmas**2
+        self._start_variances = self._of_shared(config.position_m, config.rotation_deg, config.delay_s) ** 2
         self._shared_information: FloatArray = np.diag(1 / self._start_variances)
-        self._shared_vector: FloatArray = np.zeros(len(sigmas))
+        self._shared_vector: FloatArray = np.zeros(size - LIGHT)
         self._shared_ns: int | None = None
-        self._shared: FloatArray = np.zeros(len(sigmas))
+        self._shared: FloatArray = np.zeros(size - LIGHT)
         self._shared_covariance: FloatArray = np.diag(self._start_variances)
 
     def __len__(self) -> int:
@@ -100,6 +99,11 @@ class LightPlaces:
         """
         columns = self._columns(camera)
         return self._shared[columns], self._shared_covariance[np.ix_(columns, columns)]
+
+    def delay_s(self, camera: str) -> tuple[float, float]:
+        """How long after their stamps a camera's images were exposed, and its standard deviation; seconds."""
+        column = POSE + CAMERA * self._cameras[camera] + 3
+        return float(self._shared[column]), float(np.sqrt(self._shared_covariance[column, column]))
 
     def known(self) -> BoolArray:
         """(n,) whether a place is known so well that a single box says nothing new of it."""
@@ -163,6 +167,7 @@ class LightPlaces:
             images: (m,) which image each box lies in, ascending.
         """
         numbers = np.array([self._cameras[camera.name] for camera in shots.optics.cameras])
+        before = self._motion.follow(shots, numbers.tolist())
         due = self._due(rows, shots, images, numbers).nonzero()[0]
         if not len(due):
             return
@@ -174,7 +179,7 @@ class LightPlaces:
             return
         due = due.take(whole)
         rows, boxes, images = rows.take(due), cxcywh_columns(boxes_xyxy.take(whole, axis=0)), images.take(due)
-        expected, jacobian, depths_m = self._expected(rows, shots, images, numbers)
+        expected, jacobian, depths_m = self._expected(rows, shots, images, numbers, before)
         variances = box_variances(boxes[3], depths_m, shots, images, self._config)
         difference = measured_boxes(boxes, shots, images) - expected
         of_place, of_shared = jacobian[..., :3], jacobian[..., LIGHT:]
@@ -245,6 +250,7 @@ class LightPlaces:
             "shared": [values.tolist() for values in shared],
             "shared_ns": self._shared_ns,
             "keyframes": self._keyframes.to_json(),
+            "motion": self._motion.to_json(),
             "unsettled": self._unsettled,
         }
 
@@ -270,7 +276,13 @@ class LightPlaces:
         self._shared, self._shared_covariance = shared, covariance
         self._shared_ns = values["shared_ns"]
         self._keyframes.restore(values["keyframes"])
+        self._motion.restore(values["motion"])
         self._unsettled, self._all_heard_until_ns = bool(values["unsettled"]), _NEVER_NS
+
+    def _of_shared(self, position_m: float, rotation_deg: float, delay_s: float) -> FloatArray:
+        """(w,) standard deviations of the shared errors."""
+        of_camera = np.append(np.full(CAMERA - 1, np.radians(rotation_deg)), delay_s)
+        return np.append(np.full(POSE, position_m), np.tile(of_camera, len(self._cameras)))
 
     def _prior(self, *, on_map: bool) -> FloatArray:
         """(4, 4) information about a light before anything is seen of it."""
@@ -330,8 +342,7 @@ class LightPlaces:
         """Let knowledge of the shared errors age; it never gets vaguer than it was at the start."""
         elapsed_s = 0.0 if self._shared_ns is None else max(stamp_ns - self._shared_ns, 0) / 1e9
         self._shared_ns = stamp_ns
-        drift = np.full(len(self._shared), np.radians(self._config.drift_deg))
-        drift[:POSE] = self._config.drift_m
+        drift = self._of_shared(self._config.drift_m, self._config.drift_deg, self._config.drift_delay_s)
         covariance = np.linalg.inv(self._shared_information)
         mean = covariance @ self._shared_vector
         covariance = covariance + np.diag(drift**2 * elapsed_s / 60)
@@ -346,7 +357,7 @@ class LightPlaces:
         return np.asarray(self._last_ns.take(rows * len(self._cameras) + numbers.take(images)) == _NEVER_NS)
 
     def _expected(
-        self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray
+        self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray, before: list[Stand | None]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What `measured_boxes` should give, how it depends on the unknowns, and how far away the lights are.
 
@@ -355,28 +366,35 @@ class LightPlaces:
             shots: The images.
             images: (m,) which image each light is in.
             numbers: (s,) of the images' cameras.
+            before: Of each image, the same camera's one before.
 
         Returns:
             (m, 3) of `measured_boxes`; (m, 3, u) per unit of the unknowns; (m,) metres along the camera's axis.
         """
-        firsts = LIGHT + POSE + 3 * numbers  # column of each camera's first angle
-        turns = self._shared[firsts[:, None] - LIGHT + np.arange(3)]
+        velocities, turns = rates(before, shots)
+        firsts = LIGHT + POSE + CAMERA * numbers  # column of each camera's first unknown
+        of_cameras = self._shared[firsts[:, None] - LIGHT + np.arange(CAMERA)]
+        delays_s = of_cameras[:, 3:]
+        angles = of_cameras[:, :3] - turns * delays_s
         # The world is seen turned by small angles w: q + w × q.
-        turned = np.empty((len(turns), 3, 3))
+        turned = np.empty((len(angles), 3, 3))
         turned[:] = _IDENTITY
-        turned[:, [2, 0, 1], [1, 2, 0]] += turns
-        turned[:, [1, 2, 0], [2, 0, 1]] -= turns
+        turned[:, [2, 0, 1], [1, 2, 0]] += angles
+        turned[:, [1, 2, 0], [2, 0, 1]] -= angles
+        lenses = shots.lens + self._shared[:POSE] + velocities * delays_s
         return expected_boxes(
-            self.positions.take(rows, axis=0) - (shots.lens + self._shared[:POSE]).take(images, axis=0),
+            self.positions.take(rows, axis=0) - lenses.take(images, axis=0),
             self._housings.take(rows, axis=0) * np.exp(self._found.take(rows * LIGHT + 3))[:, None, None],
             (turned @ shots.cam_from_utm).take(images, axis=0),
+            velocities.take(images, axis=0),
+            turns.take(images, axis=0),
             firsts.take(images),
             self._vectors.shape[1],
         )
 
     def _columns(self, camera: str) -> IntArray:
-        """(6,) of the shared errors: the pose's, then the camera's."""
-        start = POSE + 3 * self._cameras[camera]
+        """(6,) of the shared errors: the pose's, then the camera's angles."""
+        start = POSE + CAMERA * self._cameras[camera]
         return np.array([0, 1, 2, start, start + 1, start + 2])
 
     def _news(self, rows: IntArray, numbers: IntArray, shots: Shots, images: IntArray) -> FloatArray:

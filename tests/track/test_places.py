@@ -9,6 +9,7 @@ from autolights.core.light_box import light_corners, project_corners
 from autolights.core.shots import Shots
 from autolights.core.transforms import CAMERA_AXES_FROM_VEHICLE_AXES, invert_rigid, rigid
 from autolights.track.box_measurement import box_variances, measured_boxes
+from autolights.track.motion import Stand
 from autolights.track.place_config import PlaceConfig
 from autolights.track.places import LightPlaces
 
@@ -101,7 +102,9 @@ def test_jacobians_are_the_numeric_ones() -> None:
     rows = fill(places, row_of_lights())
     pose = pose_at(20.0, 0)
     one, zeros, second = Shots.of([camera], [pose]), np.zeros(len(rows), dtype=int), np.array([1])
-    expected, jacobian, depths_m = places._expected(rows, one, zeros, second)
+    earlier = Pose(-100_000_000, pose.position - np.array([1.0, 0.1, 0]), np.array([0, 0, np.sin(0.01), np.cos(0.01)]))
+    before: list[Stand | None] = [Stand.of(Shots.of([camera], [earlier]), 0)]
+    expected, jacobian, depths_m = places._expected(rows, one, zeros, second, before)
     boxes = cxcywh_columns(boxes_of(places.positions, camera, pose))
     np.testing.assert_allclose(expected, measured_boxes(boxes, one, zeros), atol=2e-5)
     assert depths_m == pytest.approx([40.0 - 0.5, 41.0 - 0.5] * 2, abs=1e-6)
@@ -112,7 +115,7 @@ def test_jacobians_are_the_numeric_ones() -> None:
         offset[column] = by
         places.positions = positions + offset[:3]
         places._found, places._shared = found + offset[:4], shared + offset[4:]
-        result, _, _ = places._expected(rows, one, zeros, second)
+        result, _, _ = places._expected(rows, one, zeros, second, before)
         places.positions, places._found, places._shared = positions, found, shared
         return result
 
@@ -181,7 +184,7 @@ def test_one_light_with_perfect_cameras_is_a_kalman_filter() -> None:
     rows = fill(places, row_of_lights(1))
     boxes = boxes_of(row_of_lights(1) + np.array([0.3, 0.05, -0.04]), camera, pose) + rng.normal(0, 0.2, (1, 4))
     one, zeros, columns = Shots.of([camera], [pose]), np.zeros(1, dtype=int), cxcywh_columns(boxes)
-    expected, jacobian, depths_m = places._expected(rows, one, zeros, zeros)
+    expected, jacobian, depths_m = places._expected(rows, one, zeros, zeros, [None])
     h, r = jacobian[0, :, :3], np.diag(box_variances(columns[3], depths_m, one, zeros, config)[0])
     prior = np.eye(3) * config.map_m**2
     gain = prior @ h.T @ np.linalg.inv(h @ prior @ h.T + r)
