@@ -274,8 +274,9 @@ class LightPipeline:
         return self._relevance.tell(estimates, self._tracks.unmapped, observations.shots.poses[-1], self.lanes)
 
     def health(self) -> dict[str, CameraHealth]:
-        """What each camera's images say of its calibration; empty without `alignment`."""
-        return self._observer.health()
+        """What each camera's images say of its calibration and stamps; empty without `alignment`."""
+        health = self._observer.health()
+        return health if self._places is None else self._places.with_delays(health)
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered but poses, as JSON-ready values; `restore` goes on from there with equal estimates."""

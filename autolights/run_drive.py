@@ -21,6 +21,7 @@ from autolights.data import Drive, FrameRecord
 from autolights.data.run_output import DETECTIONS, ESTIMATES, ESTIMATES_FORMAT, RUN
 from autolights.infer import Detector, Execution
 from autolights.pipeline import ImageDetector, LightPipeline, PipelineConfig
+from autolights.track import CameraHealth
 
 UNREADABLE = "unreadable image"
 
@@ -64,11 +65,13 @@ class RunSummary:
         drive: Folder of the drive.
         skipped: How many frames were left out, by reason.
         variants: Times of each variant.
+        health: What the images say of each camera; empty without variant ``full``, or without alignment.
     """
 
     drive: Path
     skipped: dict[str, int]
     variants: dict[str, VariantTimes]
+    health: dict[str, CameraHealth]
 
     def to_json(self) -> dict[str, Any]:
         """The summary as JSON-ready values."""
@@ -77,6 +80,7 @@ class RunSummary:
             "skipped_frames": sum(self.skipped.values()),
             "skipped_reasons": self.skipped,
             "variants": {name: times.to_json() for name, times in self.variants.items()},
+            "cameras": {name: own.to_json() for name, own in self.health.items()},
         }
 
 
@@ -154,6 +158,9 @@ def run_drive(
     if summary.skipped:
         reasons = ", ".join(f"{count} x {reason}" for reason, count in summary.skipped.items())
         say(f"warning: drive {drive.name}: frames left out: {reasons}; the last: {run.last_skip}")
+    for name, health in summary.health.items():
+        for warning in health.warnings():
+            say(f"warning: drive {drive.name}: camera '{name}' {warning}")
     return summary
 
 
@@ -219,6 +226,7 @@ class _Run:
                 variant: VariantTimes(self._images[variant], tuple(self._detect_ms), tuple(track_ms))
                 for variant, track_ms in self._track_ms.items()
             },
+            health=self._pipelines["full"].health() if "full" in self._pipelines else {},
         )
 
     def _read(self, records: Sequence[FrameRecord]) -> list[CameraFrame]:

@@ -102,6 +102,8 @@ def test_all_variants_on_detections_computed_once(
     assert info["skipped_frames"] == 0
     assert info["config"]["track"]["birth_hits"] == 2
     assert info["execution"] is None  # somebody's own detector
+    assert {name: own["alarm"] for name, own in info["cameras"].items()} == {"narrow": False, "wide": False}
+    assert abs(info["cameras"]["narrow"]["delay_s"]) < 0.02
     for variant in ("od", "fusion", "full"):
         times = info["variants"][variant]
         assert (times["sets"], times["images"]) == (SETS, 2 * SETS)

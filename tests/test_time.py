@@ -35,6 +35,26 @@ def see(
     return pipeline.step_detections(frames, [scene.detect(name, t) for name in cameras])
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.06, -0.06])
+def test_stamps_that_are_off_are_told(make_scene: Callable, late_s: float) -> None:
+    """By a turn: straight on a delay looks like an error of all places."""
+    scene, pipeline = live(make_scene, noise_px=0.3)
+
+    def turning(t: float) -> Pose:
+        half = 0.06 * np.sin(1.5 * t)
+        position = scene.truth.positions[0] + np.array([5 * t - 40, -2, -4.5])
+        return Pose(round(t * 1e9), position, np.array([0.0, 0.0, np.sin(half), np.cos(half)]))
+
+    scene.pose = turning
+    feed(pipeline, scene, np.arange(0, 5, 0.02))
+    for t in np.arange(0.1, 4, 0.1).round(3).tolist():
+        see(pipeline, scene, t, clock_s=-late_s)
+    health = pipeline.health()["narrow"]
+    assert health.delay_s == pytest.approx(late_s, abs=3 * health.delay_sigma_s)
+    assert health.delay_sigma_s < 0.01
+    assert health.delay_alarm == (late_s != 0)
+
+
 def test_cameras_out_of_step_tell_as_much_as_cameras_in_step(make_scene: Callable) -> None:
     scene, apart = live(make_scene, cameras=("narrow", "wide"))
     together = scene.pipeline()

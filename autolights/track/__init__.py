@@ -1,12 +1,8 @@
 """From boxes in images to lights in the world: projection, association, localisation, tracks, states, flashing."""
 
-from autolights.track.alignment import (
-    Alignment,
-    AlignmentConfig,
-    CameraHealth,
-    RigAlignment,
-)
+from autolights.track.alignment import Alignment, AlignmentConfig, RigAlignment
 from autolights.track.association import Association, associate, association_cost, type_fits
+from autolights.track.camera_health import CameraHealth
 from autolights.track.config import TrackConfig
 from autolights.track.duplicates import DuplicateConfig, Duplicates
 from autolights.track.flashing import FlashVerdict, flash_verdict

@@ -23,6 +23,7 @@ from autolights.core import BoolArray, CameraModel, Config, FloatArray, IntArray
 from autolights.core.shots import Shots
 from autolights.track.alignment_vote import MATCH_SIGMAS, MAX_HEIGHT_RATIO, SEARCH_SIGMAS, vote
 from autolights.track.camera_errors import ErrorEffect
+from autolights.track.camera_health import CameraHealth
 
 
 class AlignmentConfig(Config):
@@ -80,23 +81,6 @@ class Alignment:
         """
         distances_m = self.shots.optics.focal_px[1, images] * heights_m / np.maximum(seen[3], 1.0)
         return ErrorEffect.of(seen[:2], distances_m, self.shots, images).shifts_px(self.errors)
-
-
-@dataclass(frozen=True)
-class CameraHealth:
-    """How far a camera looks past its calibration, errors of the vehicle's pose included.
-
-    Attributes:
-        yaw_deg: Lights are seen so far to the right of where they should be.
-        pitch_deg: So far below.
-        sigma_deg: Standard deviation of the less certain of the two.
-        alarm: It is surely, by two standard deviations, more than `AlignmentConfig.alarm_deg`.
-    """
-
-    yaw_deg: float
-    pitch_deg: float
-    sigma_deg: float
-    alarm: bool
 
 
 class RigAlignment:

@@ -8,8 +8,9 @@ import numpy as np
 from autolights.core import BoolArray, CameraModel, Detections, FloatArray, IntArray, Pose, SignalSet, TrafficLightMap
 from autolights.core.boxes import cxcywh_columns
 from autolights.core.shots import Shots
-from autolights.track.alignment import Alignment, AlignmentConfig, CameraHealth, RigAlignment
+from autolights.track.alignment import Alignment, AlignmentConfig, RigAlignment
 from autolights.track.association import Association, associate_pairs, pair_costs
+from autolights.track.camera_health import CameraHealth
 from autolights.track.known_lights import ANY_CODE, KnownLights, Surroundings
 from autolights.track.lights_in_images import LightsInImages, project_known
 from autolights.track.localization import localize_in_images

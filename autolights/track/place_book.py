@@ -1,11 +1,13 @@
 """Which place belongs to which light: `LightPlaces` for the lights that images were paired with."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from autolights.core import BoolArray, FloatArray, IntArray, TrafficLightMap
+from autolights.track.camera_health import CameraHealth
 from autolights.track.observation import SetObservation
 from autolights.track.place_config import PlaceConfig
 from autolights.track.places import LightPlaces
@@ -26,6 +28,7 @@ class PlaceBook:
         self._lights = lights
         self.places = LightPlaces(tuple(cameras), config)
         self._trusted_m = config.projected_sigmas * config.map_m
+        self._alarm_delay_s = config.alarm_delay_s
         # Keys of the places' rows: rows of the map, or −1 − track id.
         self._keys: list[int] = []
         self._row_of_light: IntArray = np.full(len(lights) + 1, -1, dtype=np.int64)  # the last stands for no light
@@ -52,6 +55,15 @@ class PlaceBook:
         self.places.settle(stamp_ns)
         if len(self._keys) > _MAX_LIGHTS:
             self._forget(unmapped)
+
+    def with_delays(self, health: Mapping[str, CameraHealth]) -> dict[str, CameraHealth]:
+        """What is known of each camera, and how late its images are."""
+        told = {}
+        for name, own in health.items():
+            delay_s, sigma_s = self.places.delay_s(name)
+            alarm = abs(delay_s) - 2 * sigma_s > self._alarm_delay_s
+            told[name] = replace(own, delay_s=delay_s, delay_sigma_s=sigma_s, delay_alarm=alarm)
+        return told
 
     def place(self, map_id: str | None, track_id: int) -> tuple[FloatArray, FloatArray] | None:
         """(3,) metres and (3, 3) m² of a light, by its name in the map or by its track; None if nothing is known."""

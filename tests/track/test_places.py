@@ -317,6 +317,45 @@ def test_a_camera_that_is_due_takes_the_others_along() -> None:
     assert (places._last_ns == 400_000_000).all()
 
 
+def swaying(t: float, sway_rad: float) -> Pose:
+    """At 10 m/s ahead, the heading to and fro every four seconds."""
+    half = sway_rad * np.sin(1.5 * t) / 2
+    return Pose(round(t * 1e9), pose_at(10 * t, 0).position, np.array([0, 0, np.sin(half), np.cos(half)]))
+
+
+def pass_by_with_delays(sway_rad: float, delays_s: dict[str, float], *, seed: int = 3) -> LightPlaces:
+    """Sixteen seconds past three rows of lights; images are exposed so long after their stamps."""
+    rng = np.random.default_rng(seed)
+    cameras = {"narrow": make_camera("narrow"), "wide": make_camera("wide", 690.0)}
+    truth = np.concatenate([row_of_lights() + np.array([50.0 * k, 0, 0]) for k in range(3)])
+    places = LightPlaces(list(cameras), PlaceConfig())
+    rows = fill(places, truth + rng.normal(0, 0.2, truth.shape))
+    for t in np.arange(0, 16, 0.1):
+        given, ahead_m = swaying(t, sway_rad), truth[:, 0] - ORIGIN[0] - 10 * t
+        for name, camera in cameras.items():
+            boxes = boxes_of(truth, camera, swaying(t + delays_s[name], sway_rad)) + rng.normal(0, 0.8, (len(rows), 4))
+            seen = (ahead_m > 8) & (ahead_m < 70) & ~np.isnan(boxes[:, 0])
+            places.observe(rows[seen], boxes[seen], camera, given)
+        places.settle(given.stamp_ns)
+    return places
+
+
+@pytest.mark.parametrize("late_s", [0.05, -0.05, 0.0])
+def test_a_turn_tells_how_late_a_camera_is(late_s: float) -> None:
+    places = pass_by_with_delays(0.15, {"narrow": late_s, "wide": 0.0})
+    for name, truth_s in (("narrow", late_s), ("wide", 0.0)):
+        delay_s, sigma_s = places.delay_s(name)
+        assert delay_s == pytest.approx(truth_s, abs=3 * sigma_s)
+        assert sigma_s < 0.003
+
+
+def test_straight_on_a_delay_is_hardly_told_from_errors_of_place() -> None:
+    places = pass_by_with_delays(0.0, {"narrow": 0.05, "wide": 0.0})
+    delay_s, sigma_s = places.delay_s("narrow")
+    assert sigma_s > 0.008
+    assert 0.02 < delay_s < 0.05
+
+
 @pytest.mark.parametrize("edge", range(4), ids=["left", "top", "right", "bottom"])
 def test_a_cut_box_says_nothing(edge: int) -> None:
     camera, pose = make_camera("front"), pose_at(20.0, 0)
