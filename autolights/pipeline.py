@@ -48,6 +48,7 @@ from autolights.track import (
     SetObservation,
     TrackConfig,
     TrackManager,
+    View,
     explain_observation,
     region_of_interest,
 )
@@ -256,7 +257,11 @@ class LightPipeline:
         set_ns = max(frame.stamp_ns for frame in frames)
         self._last_set_ns = set_ns
         if self.config.variant == "od":
-            return [light for view in views for light in self._memoryless.detected(*view, set_ns)]
+            return [
+                light
+                for view in views
+                for light in self._memoryless.detected(view.camera, view.pose, view.detections, set_ns)
+            ]
         unmapped = self._tracks.unmapped
         observations = self._observer.observe(
             views, unmapped, self._places, localize_all=self.config.variant == "fusion"
@@ -322,9 +327,7 @@ class LightPipeline:
             if frame.camera not in self._cameras:
                 raise UsageError(f"unknown camera '{frame.camera}'; calibrated are: {', '.join(self._cameras)}")
 
-    def _with_pose(
-        self, frames: Sequence[Stamped], detections: Sequence[Detections]
-    ) -> Iterator[tuple[CameraModel, Pose, Detections]]:
+    def _with_pose(self, frames: Sequence[Stamped], detections: Sequence[Detections]) -> Iterator[View]:
         """Each frame with the vehicle's pose at its own stamp, as far as that is known; boxes without area go."""
         behind_ns = 0
         if self._last_set_ns is not None and frames:
@@ -348,7 +351,8 @@ class LightPipeline:
             # A box without area has no size to be placed by.
             if np.count_nonzero(found.boxes_xyxy[:, 2:] <= found.boxes_xyxy[:, :2]):
                 found = found[area(found.boxes_xyxy) > 0]
-            yield self._cameras[frame.camera], pose, found
+            occlusion = frame.occlusion if isinstance(frame, CameraFrame) else None
+            yield View(self._cameras[frame.camera], pose, found, occlusion)
 
     def _begin_anew(self) -> None:
         """The clock was set back: states and shifts belong to another time, places and track ids do not."""

@@ -35,6 +35,27 @@ def see(
     return pipeline.step_detections(frames, [scene.detect(name, t) for name in cameras])
 
 
+@pytest.mark.parametrize("told", [False, True])
+def test_what_a_mask_hides_is_not_missed(make_scene: Callable, told: bool) -> None:
+    """After a second of red a lorry hides the right half of the image, and with it light b, for three seconds."""
+    scene, pipeline = live(make_scene, speed_mps=0)
+    feed(pipeline, scene, np.arange(0, 5, 0.02))
+    lorry = np.zeros((80, 128), dtype=bool)
+    lorry[:, 64:] = True
+    for t in np.arange(0, 5, 0.1).round(3).tolist():
+        hidden = 1 <= t < 4
+        found = scene.detect("narrow", t)
+        frame = CameraFrame("narrow", round(t * 1e9), NOTHING, lorry if told and hidden else None)
+        seen = found[:1] if hidden else found
+        pipeline.step_detections([frame], [seen])
+        tracks = {track["map_id"]: track for track in pipeline.explain()["tracks"]}
+        if t == 3.9:
+            assert (tracks["b"]["misses"], tracks["b"]["alive"]) == ((0, True) if told else (30, False))
+            assert "withheld: not seen for" in tracks["b"]["rule"]
+            assert tracks["a"]["misses"] == 0
+    assert tracks["b"]["alive"]
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.06, -0.06])
 def test_stamps_that_are_off_are_told(make_scene: Callable, late_s: float) -> None:
     """By a turn: straight on a delay looks like an error of all places."""

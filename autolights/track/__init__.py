@@ -11,7 +11,7 @@ from autolights.track.localization import localization_information, localize, lo
 from autolights.track.manager import TrackManager
 from autolights.track.memoryless import MemorylessLights
 from autolights.track.observation import CameraObservation, SetObservation, explain_observation
-from autolights.track.observer import MatchConfig, Observer
+from autolights.track.observer import MatchConfig, Observer, View
 from autolights.track.place_book import PlaceBook
 from autolights.track.place_config import PlaceConfig
 from autolights.track.places import LightPlaces
@@ -42,6 +42,7 @@ __all__ = [
     "SetObservation",
     "TrackConfig",
     "TrackManager",
+    "View",
     "associate",
     "association_cost",
     "explain_observation",

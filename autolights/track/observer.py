@@ -1,7 +1,8 @@
 """Hold one set of images against the lights that are known: projection, alignment, association, localisation."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,26 @@ from autolights.track.camera_health import CameraHealth
 from autolights.track.known_lights import ANY_CODE, KnownLights, Surroundings
 from autolights.track.lights_in_images import LightsInImages, project_known
 from autolights.track.localization import localize_in_images
+from autolights.track.misses import behind_mask
 from autolights.track.new_lights import may_be_near, may_be_new
 from autolights.track.observation import SetObservation
 from autolights.track.place_book import PlaceBook
 
-View: TypeAlias = tuple[CameraModel, Pose, Detections]
+
+class View(NamedTuple):
+    """One image.
+
+    Attributes:
+        camera: The camera.
+        pose: The vehicle's at the image's stamp.
+        detections: All of them.
+        occlusion: See `CameraFrame`.
+    """
+
+    camera: CameraModel
+    pose: Pose
+    detections: Detections
+    occlusion: BoolArray | None = None
 
 
 class MatchConfig(NamedTuple):
@@ -79,7 +95,7 @@ class Observer:
         """Hold images against the lights of the map and the unmapped ones.
 
         Args:
-            views: Cameras, the vehicle's poses at their images' stamps, and all detections; at least one image.
+            views: At least one image.
             unmapped: Lights that the map does not hold.
             places: Where lights stand, as far as the images have told: those of the map are looked for there, and
                 detections of unmapped ones are not localised again. None takes the map's word.
@@ -87,10 +103,10 @@ class Observer:
                 score too low.
         """
         config = self._config
-        ordered = sorted(views, key=lambda view: (view[1].stamp_ns, view[0].name))
-        shots = Shots.of([camera for camera, _, _ in ordered], [pose for _, pose, _ in ordered])
-        detections, seen_in = self._taking_part([found for _, _, found in ordered])
-        lights = project_known(self._around(ordered[-1][1].position, unmapped, places), shots)
+        ordered = sorted(views, key=lambda view: (view.pose.stamp_ns, view.camera.name))
+        shots = Shots.of([view.camera for view in ordered], [view.pose for view in ordered])
+        detections, seen_in = self._taking_part([view.detections for view in ordered])
+        lights = project_known(self._around(ordered[-1].pose.position, unmapped, places), shots)
         known, seen = cxcywh_columns(lights.boxes_xyxy), cxcywh_columns(detections.boxes_xyxy)
         on_map = lights.indices < self._map_length
         pairs = self._may_be_same(lights, detections, seen_in)
@@ -100,6 +116,7 @@ class Observer:
             lights = lights.shifted(alignment.shifts_px.T)
             known[:2] += alignment.shifts_px
             gates_px = self._alignment_config.gate * alignment.sigmas_px
+        lights = _but_occluded(lights, ordered)
         costs = pair_costs(
             known,
             seen,
@@ -239,6 +256,17 @@ class Observer:
         if alignment is not None:
             boxes[:2] -= alignment.shifts_of_seen(boxes, sizes_m[:, 1], images)
         return localize_in_images(boxes, sizes_m, shots, images)
+
+
+def _but_occluded(lights: LightsInImages, views: Sequence[View]) -> LightsInImages:
+    """The same lights, those that a mask hides not expected."""
+    expected = lights.expected
+    for image, view in enumerate(views):
+        if view.occlusion is not None:
+            mine = (lights.images == image).nonzero()[0]
+            expected = expected.copy()
+            expected[mine] &= ~behind_mask(lights.boxes_xyxy[mine], view.occlusion, view.camera.size_wh)
+    return lights if expected is lights.expected else replace(lights, expected=expected)
 
 
 def _unplaced(placed: BoolArray, association: Association, others: IntArray, shape: tuple[int, ...]) -> IntArray:
