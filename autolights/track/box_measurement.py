@@ -48,8 +48,8 @@ def expected_boxes(
         rays: (m, 3) metres from the lens to the centre, map frame.
         housings: (m, 8, 3) corners from the centre.
         rotations: (m, 3, 3) map frame to camera frame.
-        velocities: (m, 3) metres per second of the vehicle, map frame.
-        turns: (m, 3) radians per second of the vehicle, about the camera's axes.
+        velocities: (m, 3) metres per second of the lens, map frame.
+        turns: (m, 3) radians per second of the camera, about its own axes.
         firsts: (m,) column of the first of the camera's unknowns.
         unknowns: How many there are.
 
@@ -75,7 +75,7 @@ def expected_boxes(
     by_angles = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x], [-height * y, height * x, 0 * x]])
     of_camera = np.empty((len(rays), 3, CAMERA))
     of_camera[..., :3] = by_angles.transpose(2, 0, 1)
-    # A little later the vehicle is farther on, and the world is seen turned the other way.
+    # A little later the lens is farther on, and the world is seen turned the other way.
     ahead = (jacobian[..., LIGHT : LIGHT + POSE] @ velocities[:, :, None])[..., 0]
     of_camera[..., 3] = ahead - (of_camera[..., :3] @ turns[:, :, None])[..., 0]
     columns = firsts[:, None] + np.arange(CAMERA)

@@ -1,5 +1,7 @@
 """When it says something that a light was not detected."""
 
+import math
+
 import numpy as np
 
 from autolights.core import BoolArray, FloatArray
@@ -19,11 +21,25 @@ def behind_mask(boxes_xyxy: FloatArray, occlusion: BoolArray, size_wh: tuple[int
         (n,).
     """
     height, width = occlusion.shape
-    scale = np.array([width, height] * 2) / (*size_wh, *size_wh)
-    lows, highs = np.hsplit(boxes_xyxy * scale, 2)
-    edges = np.hstack([np.floor(lows), np.ceil(highs)]).clip(0, [width, height] * 2).astype(np.int64)
-    parts = [occlusion[top:bottom, left:right] for left, top, right, bottom in edges.tolist()]
-    return np.array([part.size > 0 and part.mean() >= _HIDDEN_SHARE for part in parts], dtype=bool)
+    edges = boxes_xyxy * (np.array([width, height] * 2) / (*size_wh, *size_wh))
+    return np.array([_hidden_share(occlusion, *box) >= _HIDDEN_SHARE for box in edges.tolist()], dtype=bool)
+
+
+def _hidden_share(occlusion: BoolArray, left: float, top: float, right: float, bottom: float) -> float:
+    """Of a box in cells of the mask, as far as it lies on it; 0 beyond."""
+    (rows, down), (columns, across) = (
+        _overlaps(low, high, count)
+        for low, high, count in zip((top, left), (bottom, right), occlusion.shape, strict=True)
+    )
+    area = down.sum() * across.sum()
+    return float(down @ occlusion[rows, columns] @ across / area) if area > 0 else 0.0
+
+
+def _overlaps(low: float, high: float, count: int) -> tuple[slice, FloatArray]:
+    """Which of so many cells an interval touches, and the length of it in each."""
+    first, end = max(math.floor(low), 0), min(math.ceil(high), count)
+    cells = np.arange(first, max(first, end))
+    return slice(first, max(first, end)), np.minimum(high, cells + 1) - np.maximum(low, cells)
 
 
 def in_plain_view(

@@ -357,7 +357,7 @@ class LightPlaces:
         return np.asarray(self._last_ns.take(rows * len(self._cameras) + numbers.take(images)) == _NEVER_NS)
 
     def _expected(
-        self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray, before: list[Stand | None]
+        self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray, before: list[tuple[Stand, ...]]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What `measured_boxes` should give, how it depends on the unknowns, and how far away the lights are.
 
@@ -366,7 +366,7 @@ class LightPlaces:
             shots: The images.
             images: (m,) which image each light is in.
             numbers: (s,) of the images' cameras.
-            before: Of each image, the same camera's one before.
+            before: Of each image, the same camera's before (`CameraMotion.follow`).
 
         Returns:
             (m, 3) of `measured_boxes`; (m, 3, u) per unit of the unknowns; (m,) metres along the camera's axis.

@@ -26,6 +26,15 @@ def test_a_quarter_of_a_light_is_enough_to_be_missed(rows: int, hidden: bool) ->
     assert behind_mask(BOXES[:1], mask, SIZE_WH).tolist() == [hidden]
 
 
+def test_a_coarse_cell_counts_as_far_as_the_light_lies_in_it() -> None:
+    mask = np.zeros((100, 160), dtype=bool)  # cells of 8 px
+    mask[:, 10] = True  # from 80 to 88 px
+    boxes = np.array([[68.4, 100, 80.4, 140], [76.0, 100, 88.0, 140], [79.0, 100, 82.0, 140]])
+    assert behind_mask(boxes, mask, SIZE_WH).tolist() == [False, True, True]
+    fine = mask.repeat(8, axis=0).repeat(8, axis=1)
+    assert behind_mask(boxes, fine, SIZE_WH).tolist() == [False, True, True]
+
+
 @pytest.mark.parametrize("mask", [np.zeros((8, 8)), np.zeros((8, 8, 1), dtype=bool), np.zeros((0, 8), dtype=bool)])
 def test_what_is_no_mask_is_refused(mask: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"occlusion must be \(h, w\) of bool, got"):

@@ -103,7 +103,7 @@ def test_jacobians_are_the_numeric_ones() -> None:
     pose = pose_at(20.0, 0)
     one, zeros, second = Shots.of([camera], [pose]), np.zeros(len(rows), dtype=int), np.array([1])
     earlier = Pose(-100_000_000, pose.position - np.array([1.0, 0.1, 0]), np.array([0, 0, np.sin(0.01), np.cos(0.01)]))
-    before: list[Stand | None] = [Stand.of(Shots.of([camera], [earlier]), 0)]
+    before = [(Stand.of(Shots.of([camera], [earlier]), 0), Stand.of(Shots.of([camera], [pose]), 0))]
     expected, jacobian, depths_m = places._expected(rows, one, zeros, second, before)
     boxes = cxcywh_columns(boxes_of(places.positions, camera, pose))
     np.testing.assert_allclose(expected, measured_boxes(boxes, one, zeros), atol=2e-5)
@@ -184,7 +184,7 @@ def test_one_light_with_perfect_cameras_is_a_kalman_filter() -> None:
     rows = fill(places, row_of_lights(1))
     boxes = boxes_of(row_of_lights(1) + np.array([0.3, 0.05, -0.04]), camera, pose) + rng.normal(0, 0.2, (1, 4))
     one, zeros, columns = Shots.of([camera], [pose]), np.zeros(1, dtype=int), cxcywh_columns(boxes)
-    expected, jacobian, depths_m = places._expected(rows, one, zeros, zeros, [None])
+    expected, jacobian, depths_m = places._expected(rows, one, zeros, zeros, [()])
     h, r = jacobian[0, :, :3], np.diag(box_variances(columns[3], depths_m, one, zeros, config)[0])
     prior = np.eye(3) * config.map_m**2
     gain = prior @ h.T @ np.linalg.inv(h @ prior @ h.T + r)
@@ -323,15 +323,19 @@ def swaying(t: float, sway_rad: float) -> Pose:
     return Pose(round(t * 1e9), pose_at(10 * t, 0).position, np.array([0, 0, np.sin(half), np.cos(half)]))
 
 
-def pass_by_with_delays(sway_rad: float, delays_s: dict[str, float], *, seed: int = 3) -> LightPlaces:
-    """Sixteen seconds past three rows of lights; images are exposed so long after their stamps."""
+def pass_by_with_delays(
+    sway_rad: float, delays_s: dict[str, float], *, seed: int = 3, pose_m: float = 0.0, pose_deg: float = 0.0
+) -> LightPlaces:
+    """Sixteen seconds past three rows of lights; images are exposed so long after their stamps; poses have noise."""
     rng = np.random.default_rng(seed)
     cameras = {"narrow": make_camera("narrow"), "wide": make_camera("wide", 690.0)}
     truth = np.concatenate([row_of_lights() + np.array([50.0 * k, 0, 0]) for k in range(3)])
     places = LightPlaces(list(cameras), PlaceConfig())
     rows = fill(places, truth + rng.normal(0, 0.2, truth.shape))
     for t in np.arange(0, 16, 0.1):
-        given, ahead_m = swaying(t, sway_rad), truth[:, 0] - ORIGIN[0] - 10 * t
+        exact, ahead_m = swaying(t, sway_rad), truth[:, 0] - ORIGIN[0] - 10 * t
+        tilt = np.append(np.radians(rng.normal(0, pose_deg, 3)) / 2, 0.0)
+        given = Pose(exact.stamp_ns, exact.position + rng.normal(0, pose_m, 3), exact.quaternion_xyzw + tilt)
         for name, camera in cameras.items():
             boxes = boxes_of(truth, camera, swaying(t + delays_s[name], sway_rad)) + rng.normal(0, 0.8, (len(rows), 4))
             seen = (ahead_m > 8) & (ahead_m < 70) & ~np.isnan(boxes[:, 0])
@@ -347,6 +351,14 @@ def test_a_turn_tells_how_late_a_camera_is(late_s: float) -> None:
         delay_s, sigma_s = places.delay_s(name)
         assert delay_s == pytest.approx(truth_s, abs=3 * sigma_s)
         assert sigma_s < 0.003
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_of_the_poses_does_not_pass_for_a_delay(seed: int) -> None:
+    places = pass_by_with_delays(0.0, {"narrow": 0.0, "wide": 0.0}, seed=seed, pose_m=0.03, pose_deg=0.05)
+    for name in ("narrow", "wide"):
+        delay_s, sigma_s = places.delay_s(name)
+        assert abs(delay_s) < max(2.5 * sigma_s, 0.01)
 
 
 def test_straight_on_a_delay_is_hardly_told_from_errors_of_place() -> None:
