@@ -27,10 +27,8 @@ def behind_mask(boxes_xyxy: FloatArray, occlusion: BoolArray, size_wh: tuple[int
 
 def _hidden_share(occlusion: BoolArray, left: float, top: float, right: float, bottom: float) -> float:
     """Of a box in cells of the mask, as far as it lies on it; 0 beyond."""
-    (rows, down), (columns, across) = (
-        _overlaps(low, high, count)
-        for low, high, count in zip((top, left), (bottom, right), occlusion.shape, strict=True)
-    )
+    rows, down = _overlaps(top, bottom, occlusion.shape[0])
+    columns, across = _overlaps(left, right, occlusion.shape[1])
     area = down.sum() * across.sum()
     return float(down @ occlusion[rows, columns] @ across / area) if area > 0 else 0.0
 
