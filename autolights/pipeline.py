@@ -257,11 +257,7 @@ class LightPipeline:
         set_ns = max(frame.stamp_ns for frame in frames)
         self._last_set_ns = set_ns
         if self.config.variant == "od":
-            return [
-                light
-                for view in views
-                for light in self._memoryless.detected(view.camera, view.pose, view.detections, set_ns)
-            ]
+            return [light for view in views for light in self._memoryless.detected(*view[:3], set_ns)]
         unmapped = self._tracks.unmapped
         observations = self._observer.observe(
             views, unmapped, self._places, localize_all=self.config.variant == "fusion"

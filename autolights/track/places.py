@@ -28,6 +28,7 @@ from autolights.track.box_measurement import CAMERA, LIGHT, POSE, box_variances,
 from autolights.track.keyframes import Keyframes
 from autolights.track.motion import CameraMotion, Stand, rates
 from autolights.track.place_config import PlaceConfig
+from autolights.track.shared_errors import SharedErrors
 
 _EDGE_PX = 2.0  # a box that ends this close to the image's edge may be cut by it
 _HUBER = 3.0  # standard deviations from which an error counts linearly: half-hidden heads
@@ -80,12 +81,7 @@ class LightPlaces:
         self._keyframes, self._motion = Keyframes(c, config), CameraMotion(c)
         self._unsettled = False
         self._all_heard_until_ns = _NEVER_NS  # no light is silent for long before that
-        self._start_variances = self._of_shared(config.position_m, config.rotation_deg, config.delay_s) ** 2
-        self._shared_information: FloatArray = np.diag(1 / self._start_variances)
-        self._shared_vector: FloatArray = np.zeros(size - LIGHT)
-        self._shared_ns: int | None = None
-        self._shared: FloatArray = np.zeros(size - LIGHT)
-        self._shared_covariance: FloatArray = np.diag(self._start_variances)
+        self._shared = SharedErrors(c, config)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -97,13 +93,13 @@ class LightPlaces:
             (6,) metres east, north and up from the given pose to the true one, then radians about the camera's axes by
             which the world is seen turned; (6, 6) covariance.
         """
-        columns = self._columns(camera)
-        return self._shared[columns], self._shared_covariance[np.ix_(columns, columns)]
+        mean, covariance = self._shared.of_camera(self._cameras[camera])
+        return mean[:-1], covariance[:-1, :-1]
 
     def delay_s(self, camera: str) -> tuple[float, float]:
         """How long after their stamps a camera's images were exposed, and its standard deviation; seconds."""
-        column = POSE + CAMERA * self._cameras[camera] + 3
-        return float(self._shared[column]), float(np.sqrt(self._shared_covariance[column, column]))
+        mean, covariance = self._shared.of_camera(self._cameras[camera])
+        return float(mean[-1]), float(np.sqrt(covariance[-1, -1]))
 
     def known(self) -> BoolArray:
         """(n,) whether a place is known so well that a single box says nothing new of it."""
@@ -184,14 +180,14 @@ class LightPlaces:
         difference = measured_boxes(boxes, shots, images) - expected
         of_place, of_shared = jacobian[..., :3], jacobian[..., LIGHT:]
         doubt = ((of_place @ self.covariances.take(rows, axis=0)) * of_place).sum(axis=-1)
-        doubt += ((of_shared @ self._shared_covariance) * of_shared).sum(axis=-1)
+        doubt += ((of_shared @ self._shared.covariance) * of_shared).sum(axis=-1)
         surprise = np.sqrt((difference**2 / (variances + doubt)).sum(axis=1))
         news = self._news(rows, numbers.take(images), shots, images)
         weights = news * np.minimum(1.0, _HUBER / np.maximum(surprise, 1e-9))
 
         # Linear in the unknowns themselves, not in their changes: z − h(x̂) + J x̂ = J x + noise.
         found = self._found.take(rows, axis=0)
-        told = difference + (jacobian[..., :LIGHT] @ found[..., None])[..., 0] + of_shared @ self._shared
+        told = difference + (jacobian[..., :LIGHT] @ found[..., None])[..., 0] + of_shared @ self._shared.mean
         scaled = (jacobian * (weights[:, None] / variances)[..., None]).swapaxes(1, 2)
         information, vectors = scaled @ jacobian, (scaled @ told[..., None])[..., 0]
         bounds = images.searchsorted(range(len(shots) + 1)).tolist()
@@ -243,12 +239,10 @@ class LightPlaces:
 
     def to_json(self) -> dict[str, Any]:
         """All that is remembered, as JSON-ready values."""
-        shared = (self._shared_information, self._shared_vector, self._shared, self._shared_covariance)
         return {
             "cameras": list(self._cameras),
             "lights": {name: getattr(self, name).tolist() for name in _COLUMNS},
-            "shared": [values.tolist() for values in shared],
-            "shared_ns": self._shared_ns,
+            "shared": self._shared.to_json(),
             "keyframes": self._keyframes.to_json(),
             "motion": self._motion.to_json(),
             "unsettled": self._unsettled,
@@ -267,22 +261,12 @@ class LightPlaces:
         for name in _COLUMNS:
             ours = getattr(self, name)
             columns[name] = np.array(values["lights"][name], dtype=ours.dtype).reshape(n, *ours.shape[1:])
-        information, vector, shared, covariance = (np.array(array, dtype=np.float64) for array in values["shared"])
-        if not (information.shape == covariance.shape == self._shared_information.shape):
-            raise ValueError(f"shared errors must be {self._shared_information.shape}, got {information.shape}")
+        self._shared.restore(values["shared"])
         for name, column in columns.items():
             setattr(self, name, column)
-        self._shared_information, self._shared_vector = information, vector
-        self._shared, self._shared_covariance = shared, covariance
-        self._shared_ns = values["shared_ns"]
         self._keyframes.restore(values["keyframes"])
         self._motion.restore(values["motion"])
         self._unsettled, self._all_heard_until_ns = bool(values["unsettled"]), _NEVER_NS
-
-    def _of_shared(self, position_m: float, rotation_deg: float, delay_s: float) -> FloatArray:
-        """(w,) standard deviations of the shared errors."""
-        of_camera = np.append(np.full(CAMERA - 1, np.radians(rotation_deg)), delay_s)
-        return np.append(np.full(POSE, position_m), np.tile(of_camera, len(self._cameras)))
 
     def _prior(self, *, on_map: bool) -> FloatArray:
         """(4, 4) information about a light before anything is seen of it."""
@@ -291,13 +275,12 @@ class LightPlaces:
 
     def _solve(self, rows: IntArray) -> None:
         inverse, ahead, information, vectors = self._eliminated(rows)
-        self._shared_covariance = np.linalg.inv(self._shared_information + information.sum(axis=0))
-        self._shared = self._shared_covariance @ (self._shared_vector + vectors.sum(axis=0))
-        self._found[rows] = (inverse @ self._vectors[rows, :LIGHT, None])[..., 0] - ahead @ self._shared
+        self._shared.solve(information.sum(axis=0), vectors.sum(axis=0))
+        self._found[rows] = (inverse @ self._vectors[rows, :LIGHT, None])[..., 0] - ahead @ self._shared.mean
         # What was given out before stays as it was.
         self.positions, self.covariances = self.positions.copy(), self.covariances.copy()
         self.positions[rows] = self._origins[rows] + self._found[rows, :3]
-        self.covariances[rows] = (inverse + ahead @ self._shared_covariance @ ahead.swapaxes(1, 2))[:, :3, :3]
+        self.covariances[rows] = (inverse + ahead @ self._shared.covariance @ ahead.swapaxes(1, 2))[:, :3, :3]
 
     def _eliminated(self, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Λ_ii⁻¹ and Λ_ii⁻¹ Λ_iw of each light, and what it tells of the shared errors alone (Schur complement)."""
@@ -323,32 +306,19 @@ class LightPlaces:
         silent = rows[last_ns < stamp_ns - _SETTLED_NS]
         if len(silent):
             self._close(silent)
-            self._let_drift(stamp_ns)
+            self._shared.age(stamp_ns)
 
     def _close(self, rows: IntArray) -> None:
         """Turn what lights told into prior knowledge: of the shared errors, and of each light alone."""
         if not len(rows):
             return
         inverse, ahead, information, vectors = self._eliminated(rows)
-        self._shared_information = self._shared_information + information.sum(axis=0)
-        self._shared_vector = self._shared_vector + vectors.sum(axis=0)
-        alone = np.linalg.inv(inverse + ahead @ self._shared_covariance @ ahead.swapaxes(1, 2))
+        self._shared.keep(information.sum(axis=0), vectors.sum(axis=0))
+        alone = np.linalg.inv(inverse + ahead @ self._shared.covariance @ ahead.swapaxes(1, 2))
         self._information[rows], self._vectors[rows] = 0.0, 0.0
         self._information[rows, :LIGHT, :LIGHT] = alone
         self._vectors[rows, :LIGHT] = (alone @ self._found[rows][..., None])[..., 0]
         self._active[rows] = False
-
-    def _let_drift(self, stamp_ns: int) -> None:
-        """Let knowledge of the shared errors age; it never gets vaguer than it was at the start."""
-        elapsed_s = 0.0 if self._shared_ns is None else max(stamp_ns - self._shared_ns, 0) / 1e9
-        self._shared_ns = stamp_ns
-        drift = self._of_shared(self._config.drift_m, self._config.drift_deg, self._config.drift_delay_s)
-        covariance = np.linalg.inv(self._shared_information)
-        mean = covariance @ self._shared_vector
-        covariance = covariance + np.diag(drift**2 * elapsed_s / 60)
-        shrink = np.sqrt(np.minimum(1.0, self._start_variances / np.diag(covariance)))
-        self._shared_information = np.linalg.inv(covariance * np.outer(shrink, shrink))
-        self._shared_vector = self._shared_information @ mean
 
     def _due(self, rows: IntArray, shots: Shots, images: IntArray, numbers: IntArray) -> BoolArray:
         """(m,) whether a box is taken in: all boxes of keyframes, and those of lights that are new to a camera."""
@@ -373,7 +343,7 @@ class LightPlaces:
         """
         velocities, turns = rates(before, shots)
         firsts = LIGHT + POSE + CAMERA * numbers  # column of each camera's first unknown
-        of_cameras = self._shared[firsts[:, None] - LIGHT + np.arange(CAMERA)]
+        of_cameras = self._shared.mean[firsts[:, None] - LIGHT + np.arange(CAMERA)]
         delays_s = of_cameras[:, 3:]
         angles = of_cameras[:, :3] - turns * delays_s
         # The world is seen turned by small angles w: q + w × q.
@@ -381,7 +351,7 @@ class LightPlaces:
         turned[:] = _IDENTITY
         turned[:, [2, 0, 1], [1, 2, 0]] += angles
         turned[:, [1, 2, 0], [2, 0, 1]] -= angles
-        lenses = shots.lens + self._shared[:POSE] + velocities * delays_s
+        lenses = shots.lens + self._shared.mean[:POSE] + velocities * delays_s
         return expected_boxes(
             self.positions.take(rows, axis=0) - lenses.take(images, axis=0),
             self._housings.take(rows, axis=0) * np.exp(self._found.take(rows * LIGHT + 3))[:, None, None],
@@ -391,11 +361,6 @@ class LightPlaces:
             firsts.take(images),
             self._vectors.shape[1],
         )
-
-    def _columns(self, camera: str) -> IntArray:
-        """(6,) of the shared errors: the pose's, then the camera's angles."""
-        start = POSE + CAMERA * self._cameras[camera]
-        return np.array([0, 1, 2, start, start + 1, start + 2])
 
     def _news(self, rows: IntArray, numbers: IntArray, shots: Shots, images: IntArray) -> FloatArray:
         """(m,) how much of an independent observation each is, (1 − ρ) / (1 + ρ) for a correlation ρ with the last."""

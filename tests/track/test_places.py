@@ -110,13 +110,13 @@ def test_jacobians_are_the_numeric_ones() -> None:
     assert depths_m == pytest.approx([40.0 - 0.5, 41.0 - 0.5] * 2, abs=1e-6)
 
     def moved(column: int, by: float) -> np.ndarray:
-        positions, found, shared = places.positions, places._found, places._shared
+        positions, found, shared = places.positions, places._found, places._shared.mean
         offset = np.zeros(jacobian.shape[2])
         offset[column] = by
         places.positions = positions + offset[:3]
-        places._found, places._shared = found + offset[:4], shared + offset[4:]
+        places._found, places._shared.mean = found + offset[:4], shared + offset[4:]
         result, _, _ = places._expected(rows, one, zeros, second, before)
-        places.positions, places._found, places._shared = positions, found, shared
+        places.positions, places._found, places._shared.mean = positions, found, shared
         return result
 
     scale = np.abs(jacobian).max(axis=(0, 1))
@@ -161,9 +161,9 @@ def test_the_arrow_is_solved_exactly() -> None:
     fill(places, truth + rng.normal(0, 0.2, truth.shape))
     drive(places, truth, {n: (c, c) for n, c in cameras.items()}, 20, edge_px=0.5, rng=rng)
 
-    n, light, shared = len(truth), 4, len(places._shared)
+    n, light, shared = len(truth), 4, len(places._shared.mean)
     dense, vector = np.zeros((n * light + shared,) * 2), np.zeros(n * light + shared)
-    dense[n * light :, n * light :] = places._shared_information
+    dense[n * light :, n * light :] = places._shared.information
     for i in range(n):
         columns = np.r_[i * light : (i + 1) * light, n * light : n * light + shared]
         dense[np.ix_(columns, columns)] += places._information[i]
@@ -173,7 +173,7 @@ def test_the_arrow_is_solved_exactly() -> None:
         own = slice(i * light, i * light + 3)
         np.testing.assert_allclose(places.positions[i] - places._origins[i], solution[own], atol=1e-8)
         np.testing.assert_allclose(places.covariances[i], covariance[own, own], atol=1e-8)
-    np.testing.assert_allclose(places._shared, solution[n * light :], atol=1e-8)
+    np.testing.assert_allclose(places._shared.mean, solution[n * light :], atol=1e-8)
 
 
 def test_one_light_with_perfect_cameras_is_a_kalman_filter() -> None:
@@ -471,7 +471,7 @@ def test_knowledge_of_the_mounting_ages() -> None:
     fill(places, truth)
     drive(places, truth, {"front": (camera, camera)}, 40)
     places.settle(30_000_000_000)
-    sharp = places._shared_information[4, 4]
-    places._let_drift(3_630_000_000_000)
+    sharp = places._shared.information[4, 4]
+    places._shared.age(3_630_000_000_000)
     start = np.radians(0.3) ** -2
-    assert start * 0.99 < places._shared_information[4, 4] < sharp
+    assert start * 0.99 < places._shared.information[4, 4] < sharp
