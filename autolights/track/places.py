@@ -2,8 +2,8 @@
 
 Every box tells a direction and, through the housing's size, a depth. Both are off by errors w that all lights share (a
 camera looks past its calibration, or later than it says, the vehicle stands beside its pose) and by errors x of the
-light alone (its place in the map, its size). Lights know nothing of each other but through w. So the information matrix of the whole problem is
-an arrow, and its exact solution costs one 4 × 4 inverse for each light:
+light alone (its place in the map, its size). Lights know nothing of each other but through w. So the information matrix
+of the whole problem is an arrow, and its exact solution costs one 4 × 4 inverse for each light:
 
     S = Λ_ww − Σ Λ_wi Λ_ii⁻¹ Λ_iw,   ŵ = S⁻¹ (η_w − Σ Λ_wi Λ_ii⁻¹ η_i),   x̂_i = Λ_ii⁻¹ (η_i − Λ_iw ŵ)
 
