@@ -4,6 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from autolights.core import FloatArray
 from autolights.core.shots import Shots
 from autolights.track.place_config import PlaceConfig
 
@@ -56,6 +59,12 @@ class Keyframes:
         config, elapsed_s = self._config, abs(stamp_ns - self._stamps_ns[number]) / 1e9
         if elapsed_s < config.every_s:
             return False
-        way_m = math.dist(vehicle, self._vehicle[number])
-        apart = way_m / config.decorrelation_m + elapsed_s / config.decorrelation_s
-        return math.tanh(apart / 2) >= config.least_news
+        return bool(news(math.dist(vehicle, self._vehicle[number]), elapsed_s, config) >= config.least_news)
+
+
+def news(way_m: FloatArray | float, elapsed_s: FloatArray | float, config: PlaceConfig) -> FloatArray:
+    """How much of an independent observation one is, so far from the last and so long after it.
+
+    That is (1 − ρ) / (1 + ρ) with the correlation ρ = e^−u of their errors, which is tanh(u / 2).
+    """
+    return np.asarray(np.tanh((way_m / config.decorrelation_m + elapsed_s / config.decorrelation_s) / 2))

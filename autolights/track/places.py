@@ -25,7 +25,7 @@ from autolights.core.boxes import cxcywh_columns
 from autolights.core.light_box import light_corners
 from autolights.core.shots import Shots
 from autolights.track.box_measurement import CAMERA, LIGHT, POSE, box_variances, expected_boxes, measured_boxes
-from autolights.track.keyframes import Keyframes
+from autolights.track.keyframes import Keyframes, news
 from autolights.track.motion import CameraMotion, Stand, rates
 from autolights.track.place_config import PlaceConfig
 from autolights.track.shared_errors import SharedErrors
@@ -182,8 +182,8 @@ class LightPlaces:
         doubt = ((of_place @ self.covariances.take(rows, axis=0)) * of_place).sum(axis=-1)
         doubt += ((of_shared @ self._shared.covariance) * of_shared).sum(axis=-1)
         surprise = np.sqrt((difference**2 / (variances + doubt)).sum(axis=1))
-        news = self._news(rows, numbers.take(images), shots, images)
-        weights = news * np.minimum(1.0, _HUBER / np.maximum(surprise, 1e-9))
+        fresh = self._news(rows, numbers.take(images), shots, images)
+        weights = fresh * np.minimum(1.0, _HUBER / np.maximum(surprise, 1e-9))
 
         # Linear in the unknowns themselves, not in their changes: z − h(x̂) + J x̂ = J x + noise.
         found = self._found.take(rows, axis=0)
@@ -363,12 +363,8 @@ class LightPlaces:
         )
 
     def _news(self, rows: IntArray, numbers: IntArray, shots: Shots, images: IntArray) -> FloatArray:
-        """(m,) how much of an independent observation each is, (1 − ρ) / (1 + ρ) for a correlation ρ with the last."""
+        """(m,) how much of an independent observation each is, after the last of this light by this camera."""
         way = shots.vehicle.take(images, axis=0) - self._last_places[rows, numbers]
-        way_m = np.sqrt((way * way).sum(axis=1))
         stamps_ns = np.array([pose.stamp_ns for pose in shots.poses])
         elapsed_s = np.abs(stamps_ns.take(images) - self._last_ns[rows, numbers]) / 1e9
-        # (1 − e^−u) / (1 + e^−u) = tanh(u / 2)
-        return np.asarray(
-            np.tanh((way_m / self._config.decorrelation_m + elapsed_s / self._config.decorrelation_s) / 2)
-        )
+        return news(np.sqrt((way * way).sum(axis=1)), elapsed_s, self._config)
